@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from precompute.learning.pipeline import Precomputed
-from precompute.reporting.page import Heading, Picture, Section, Text
+from precompute.reporting.html_page import Heading, Picture, Section, Text
 
 __all__ = ["duration", "newcomer_sections", "words_of"]
 

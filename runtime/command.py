@@ -37,7 +37,7 @@ COMMANDS: Mapping[str, str] = {
     "compare": "precompute.commands.compare",
     "plan": "precompute.commands.plan",
     "validate": "precompute.commands.validate",
-    "fabric": "precompute.commands.fabric",
+    "fabric": "precompute.commands.fabric_laboratory",
     "stability": "precompute.commands.stability",
     "fuzz": "precompute.commands.fuzz",
     "bench frame": "precompute.commands.bench_frame",

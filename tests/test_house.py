@@ -118,10 +118,10 @@ STAIRS = (
     "precompute",  # processes and computers that work together, mechanics
     "precompute.reporting",
     "precompute.learning",
-    "precompute.wardrobe",
+    "precompute.wardrobe_learning",
     "precompute.wrinkle_comparison",
     "precompute.demo_page",
-    "precompute.demo",
+    "precompute.demo_run",
     "precompute.planning",
     "precompute.method_comparison",
     "precompute.benchmarks",

@@ -24,7 +24,7 @@ from precompute.benchmarks.frame_limits import (
     normal_bytes,
 )
 from precompute.benchmarks.stopwatch import PARTS, Stopwatch, stopwatch
-from precompute.learning.recording import Run
+from precompute.learning.run_recording import Run
 from precompute.learning.truth import database_run
 from precompute.wrinkle_comparison.baselines import Cloth, coarse_cloth, fine_cloth, middle_cloth
 from runtime.playback_inputs import PlaybackInputs, open_database

@@ -12,7 +12,7 @@ from precompute.benchmarks.constraint_cost import constraint_costs
 from precompute.benchmarks.contact_bench import self_collision_cost
 from precompute.mechanics import FRAME_RATE
 from precompute.method_comparison.engines import EngineRun, bench_engines
-from precompute.reporting.page import Chart, Point, Section, Table, Text, write_page
+from precompute.reporting.html_page import Chart, Point, Section, Table, Text, write_page
 from precompute.reporting.tables import write_table
 from precompute.solver_scenes import SolverMeasurement, hanging_square, measure
 from runtime.report import machine_description

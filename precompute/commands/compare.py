@@ -118,7 +118,7 @@ def _compare_scenes(options: argparse.Namespace, scenes: Sequence[str]) -> Repor
         wrinkle_sections,
         write_comparison,
     )
-    from precompute.wrinkle_comparison.compare import check_motions, compare_file
+    from precompute.wrinkle_comparison.compare_database import check_motions, compare_file
     from runtime.report import Progress, Report
     from runtime.terminal import say
 
@@ -179,7 +179,7 @@ def _blind_answers(options: argparse.Namespace) -> Report:
 def _compare_database(options: argparse.Namespace) -> Report:
     from precompute.cluster import workers_of
     from precompute.wrinkle_comparison.blind import write_blind
-    from precompute.wrinkle_comparison.compare import compare_file
+    from precompute.wrinkle_comparison.compare_database import compare_file
     from precompute.wrinkle_comparison.comparison_page import verdict, write_comparison
     from runtime.report import Progress, Report
     from runtime.terminal import say

@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Report:
     """Learn, play, compare and draw; say what will be done, and print where the results are."""
-    from precompute.demo import FULL, SHORT, introduction, run_demo
+    from precompute.demo_run import FULL, SHORT, introduction, run_demo
     from runtime.outputs import check_folder
     from runtime.report import Progress, Report
     from runtime.terminal import say

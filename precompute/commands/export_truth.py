@@ -22,7 +22,7 @@ def run(options: argparse.Namespace) -> Report:
 
     from assets.motion import Motion
     from precompute.learning.pipeline import default_cache
-    from precompute.learning.recording import record_runs
+    from precompute.learning.run_recording import record_runs
     from precompute.learning.truth import database_run
     from runtime.playback_inputs import PlaybackInputs
     from runtime.recording import TRUTH_HZ, RecordedTruth

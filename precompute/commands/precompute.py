@@ -85,7 +85,7 @@ def _run_all(options: argparse.Namespace) -> Report:
     from assets.io.wardrobe import load_wardrobe
     from precompute.cluster import workers_of
     from precompute.learning.pipeline import default_cache
-    from precompute.wardrobe import learn_wardrobe, wardrobe_rows, wardrobe_text, write_wardrobe
+    from precompute.wardrobe_learning import learn_wardrobe, wardrobe_rows, wardrobe_text, write_wardrobe
     from runtime.outputs import check_folder
     from runtime.report import Progress, Report
     from runtime.terminal import say

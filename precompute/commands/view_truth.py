@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> Report:
 def _recorded_truths(path: Path, database: WrinkleDatabase, inputs: PlaybackInputs) -> Mapping[str, ShownTruth]:
     """The fine simulation of each motion, from the runs that are kept beside the database."""
     from precompute.learning.pipeline import default_cache
-    from precompute.learning.recording import record_runs
+    from precompute.learning.run_recording import record_runs
     from precompute.learning.truth import database_run
     from runtime.report import Progress
     from runtime.viewer.garments import ShownTruth

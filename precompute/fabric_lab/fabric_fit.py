@@ -16,7 +16,7 @@ from assets.text import read_words
 from pbd import Fabric
 from pbd.errors import InputError
 from pbd.fabric import stiffening_stress
-from precompute.reporting.charts import write_png
+from precompute.reporting.cost_charts import write_png
 from precompute.validation.laboratory import (
     DIRECTIONS,
     LoadCurve,

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from pbd import Fabric
 from pbd.models.newton import StepError
-from precompute.reporting.charts import write_png
+from precompute.reporting.cost_charts import write_png
 from precompute.reporting.tables import write_table
 from precompute.validation.drape_rows import cusick_drape
 from precompute.validation.laboratory import (

@@ -13,7 +13,7 @@ import numpy as np
 
 from pbd import Body, Fabric
 from pbd.bending import hinge_calibration
-from precompute.learning.recording import Recording, Run
+from precompute.learning.run_recording import Recording, Run
 from precompute.learning.stages import counted
 from precompute.learning.training import Layer, features_of, spread_frames
 from precompute.workers import Workers

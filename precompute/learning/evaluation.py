@@ -19,7 +19,7 @@ from precompute.learning.crossed import crossed_figures, crossed_jobs, joined_cr
 from precompute.learning.decoding import decode_recording
 from precompute.learning.in_time import Pause, popping
 from precompute.learning.options import DEFAULT, LearningOptions
-from precompute.learning.recording import Recording, Run, move_start, record_runs
+from precompute.learning.run_recording import Recording, Run, move_start, record_runs
 from precompute.learning.stages import counted
 from precompute.learning.training import build_layer, features_of
 from precompute.learning.truth import Truth, judged_from

@@ -13,7 +13,7 @@ from pbd import InputError
 from precompute.learning.decoding import FrameDecoder, decoded_frames
 from precompute.learning.evaluation import free_figures
 from precompute.learning.pipeline import scene_run
-from precompute.learning.recording import Recording, Run
+from precompute.learning.run_recording import Recording, Run
 from precompute.learning.training import Layer
 from precompute.learning.truth import Truth, settled, truth_of
 from runtime.garment_setup import GarmentSetup

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from precompute.learning.recording import Run
+from precompute.learning.run_recording import Run
 from wrinkles.mesh_measures import jitter_px
 from wrinkles.metrics import rmse_mm
 

@@ -20,7 +20,7 @@ from assets.io.scene import Scene, scene_text
 from pbd.fingerprint import source_fingerprint
 from pbd.storage import BROKEN_NPZ, replacing
 from precompute.learning.options import LearningOptions
-from precompute.learning.recording import Run
+from precompute.learning.run_recording import Run
 
 __all__ = ["Kept"]
 

@@ -20,9 +20,9 @@ from precompute.learning.crossed import WHOLE, crossed_figures, crossed_jobs, cr
 from precompute.learning.decoding import with_vertex_mean
 from precompute.learning.evaluation import Evaluation, evaluate, given_frames
 from precompute.learning.kept import Kept
-from precompute.learning.novelty import fit_novelty
+from precompute.learning.novelty_fit import fit_novelty
 from precompute.learning.options import LearningOptions
-from precompute.learning.recording import Recording, Run, record_runs
+from precompute.learning.run_recording import Recording, Run, record_runs
 from precompute.learning.stages import StageClock, StageTime, counted
 from precompute.learning.training import Layer, TrainingSet, build_layer, fit_layer, spread_frames, training_set
 from precompute.learning.truth import SETTLE, Truth, fine_run, settled, truth_of, truth_runs

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from precompute.learning.recording import Recording
+from precompute.learning.run_recording import Recording
 from wrinkles.charts import Charts
 from wrinkles.dictionary import Atoms, CoefficientNetwork, fit_atoms, fit_coefficient_network
 from wrinkles.features import DYNAMIC_COUNT, Stencil

@@ -21,7 +21,7 @@ from pbd.wind import CALM, Air
 from precompute.learning.decoding import bands_of
 from precompute.learning.in_time import Pause
 from precompute.learning.options import DEFAULT, LearningOptions
-from precompute.learning.recording import Recording, Run, record_runs
+from precompute.learning.run_recording import Recording, Run, record_runs
 from precompute.workers import Workers
 from runtime.garment_setup import fine_substep_of
 from runtime.playback_inputs import PlaybackInputs

@@ -14,8 +14,8 @@ from precompute.method_comparison.error_classes import ErrorClass
 from precompute.method_comparison.fabric_pictures import FABRICS, draw_fabrics, fabric_runs
 from precompute.method_comparison.scene_compare import ComparedRun, SceneComparison
 from precompute.method_comparison.scene_judging import screen_mm
-from precompute.reporting.charts import draw_charts, write_png
-from precompute.reporting.page import Chart, Heading, Picture, Point, Section, Table, Text, write_page
+from precompute.reporting.cost_charts import draw_charts, write_png
+from precompute.reporting.html_page import Chart, Heading, Picture, Point, Section, Table, Text, write_page
 from precompute.reporting.tables import write_table
 from precompute.wrinkle_comparison.comparison import Comparison
 from precompute.wrinkle_comparison.comparison_page import comparison_sections

@@ -11,8 +11,8 @@ import numpy as np
 
 from assets.io.scene import CameraSettings
 from pbd import InputError
-from precompute.planning.cost_table import cost_table_key, measure_cost_table
-from precompute.wrinkle_comparison.compare import database_of
+from precompute.planning.cost_measurement import cost_table_key, measure_cost_table
+from precompute.wrinkle_comparison.compare_database import database_of
 from runtime.cost_table import CostTable, cost_table_path, read_cost_table, write_cost_table
 from runtime.garment_setup import scene_of
 from runtime.planner import DetailChoice, Planner, ViewSize, sight_of

@@ -14,8 +14,8 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import Normal, Stroke
 
 from precompute.method_comparison.error_classes import LIMITS, ErrorClass, classify
-from precompute.reporting.charts import write_png
-from precompute.reporting.page import Heading, Picture, Section, Table, Text, write_page
+from precompute.reporting.cost_charts import write_png
+from precompute.reporting.html_page import Heading, Picture, Section, Table, Text, write_page
 from precompute.reporting.tables import write_table
 from precompute.stability.stability_cells import Cell
 from precompute.stability.stability_maps import Axis, StabilityMap

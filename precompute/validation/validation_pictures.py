@@ -8,7 +8,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from precompute.reporting.charts import write_png
+from precompute.reporting.cost_charts import write_png
 from precompute.validation.validation import ValidationResult, case_words
 from runtime.pictures import save_png
 

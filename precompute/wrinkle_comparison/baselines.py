@@ -21,7 +21,7 @@ from pbd import InputError, Model, SolverOptions
 from pbd.attachment import Attachment
 from pbd.geometry import surface_normals
 from pbd.taichi_internals import Launch
-from precompute.learning.recording import Run, move_start
+from precompute.learning.run_recording import Run, move_start
 from precompute.learning.truth import Truth
 from runtime.level_of_detail import LevelOfDetail
 from runtime.plain_player import middle_levels, plain_model
@@ -150,7 +150,7 @@ class ClothTurn:
         cloth: what is simulated.
         keep: numbers of the frames that are kept, int, shape (f,).
         folder: where they are kept; None keeps them in memory.
-        start: number of its start, see :func:`precompute.learning.recording.move_start`.
+        start: number of its start, see :func:`precompute.learning.run_recording.move_start`.
     """
 
     def __init__(self, cloth: Cloth, keep: np.ndarray, folder: Path | None = None, start: int = 0) -> None:
@@ -207,7 +207,7 @@ class PlayerTurn:
         detail: of the player; None takes all that there is.
         player: at the first pose; None makes one.
         folder: where frames are kept; None keeps them in memory.
-        start: number of its start, see :func:`precompute.learning.recording.move_start`.
+        start: number of its start, see :func:`precompute.learning.run_recording.move_start`.
     """
 
     def __init__(

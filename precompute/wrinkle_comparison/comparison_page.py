@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from precompute.learning.evaluation import CHANCE
-from precompute.reporting.page import Chart, Heading, Picture, Point, Section, Table, Text, write_page
+from precompute.reporting.html_page import Chart, Heading, Picture, Point, Section, Table, Text, write_page
 from precompute.wrinkle_comparison.comparison import ERRORS, Comparison, Method, MotionComparison
 from runtime.picture_content import Drawn, frame_camera
 from runtime.pictures import render, strip

@@ -25,10 +25,10 @@ from precompute.learning.decoding import (
 from precompute.learning.held_out import JUDGED, HeldOut, held_out_truth, require_held_out
 from precompute.learning.options import LearningOptions
 from precompute.learning.pipeline import default_cache, training_recordings, training_run
-from precompute.learning.recording import Recording, Run
+from precompute.learning.run_recording import Recording, Run
 from precompute.learning.training import Layer, build_layer, coefficients_of, spread_frames, training_set
 from precompute.wrinkle_comparison.baselines import player_times, typical_ms
-from precompute.wrinkle_comparison.compare import check_motions, database_of, described, plain_methods
+from precompute.wrinkle_comparison.compare_database import check_motions, database_of, described, plain_methods
 from precompute.wrinkle_comparison.wrinkle_baselines import WrinkleBaseline, fit_baselines
 from precompute.wrinkle_comparison.wrinkle_meshes import WrinkleMesh, WrinkleMeshOptions
 from runtime.garment_setup import GarmentSetup, scene_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from precompute.reporting.page import Chart, Point, Section, Table, Text, write_page
+from precompute.reporting.html_page import Chart, Point, Section, Table, Text, write_page
 from precompute.wrinkle_comparison.wrinkle_comparison import WrinkleComparison, WrinkleMethod
 
 __all__ = ["wrinkle_rows", "wrinkle_verdict", "write_wrinkles"]

@@ -24,7 +24,7 @@ from pbd.errors import InputError
 from precompute import cluster
 from precompute.cluster import ClusterWorkers, cache_here, local_cluster, workers_of
 from precompute.learning.pipeline import scene_run
-from precompute.learning.recording import Run, record_runs
+from precompute.learning.run_recording import Run, record_runs
 from precompute.workers import Workers, run_jobs
 from runtime.garment_setup import GarmentSetup
 from tests.precompute.miniature import scene

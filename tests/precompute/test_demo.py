@@ -13,9 +13,9 @@ from PIL import Image
 from pygltflib import GLTF2
 
 from assets.io.scene import load_scene
-from precompute import demo
-from precompute.demo import FULL, SHORT, STAGES, WORDS, Demo, DemoResult, introduction, run_demo
+from precompute import demo_run as demo
 from precompute.demo_page import duration, words_of
+from precompute.demo_run import FULL, SHORT, STAGES, WORDS, Demo, DemoResult, introduction, run_demo
 from precompute.learning.pipeline import Precomputed, default_cache
 from precompute.wrinkle_comparison import baselines
 from runtime.glb import BYTES_A_VERTEX

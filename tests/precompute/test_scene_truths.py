@@ -14,7 +14,7 @@ import pytest
 from assets.io.scene import load_scene
 from precompute.learning.crossed import crossed_jobs, joined_crossed
 from precompute.learning.pipeline import scene_run
-from precompute.learning.recording import record_runs
+from precompute.learning.run_recording import record_runs
 from precompute.workers import Workers
 from runtime.garment_setup import GarmentSetup
 from tests.data import ROOT, data_path

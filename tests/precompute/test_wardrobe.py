@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-import precompute.wardrobe
+import precompute.wardrobe_learning
 from assets.io.scene import Scene, scene_text
 from pbd.errors import InputError
 from precompute.learning.pipeline import Precomputed
-from precompute.wardrobe import GarmentOutcome, learn_wardrobe, wardrobe_rows, wardrobe_text, write_wardrobe
+from precompute.wardrobe_learning import GarmentOutcome, learn_wardrobe, wardrobe_rows, wardrobe_text, write_wardrobe
 from precompute.workers import Workers
 from tests.precompute.miniature import OPTIONS, scene
 from wrinkles.database_file import read_database
@@ -38,7 +38,7 @@ def test_one_that_fails_does_not_stop_the_others(
         shutil.copy(learned.path, path)
         return learned
 
-    monkeypatch.setattr(precompute.wardrobe, "precompute", copied)
+    monkeypatch.setattr(precompute.wardrobe_learning, "precompute", copied)
     scenes, output, lines = {"no": refused, "bad": broken, "good": first}, tmp_path / "made", []
     with Workers(1) as workers:
         found = learn_wardrobe(scenes, output, tmp_path / "cache", workers, lines.append, OPTIONS)
@@ -56,7 +56,7 @@ def test_without_workers_it_ends(learned: Precomputed, tmp_path: Path, monkeypat
     def lost(*given: Any, **named: Any) -> None:
         raise BrokenExecutor("gone")
 
-    monkeypatch.setattr(precompute.wardrobe, "precompute", lost)
+    monkeypatch.setattr(precompute.wardrobe_learning, "precompute", lost)
     with Workers(1) as workers, pytest.raises(BrokenExecutor, match="gone"):
         learn_wardrobe({"one": scene()}, tmp_path, tmp_path / "cache", workers, lambda line: None, OPTIONS)
 
@@ -78,7 +78,7 @@ def test_whole_ones_are_dealt_only_to_workers_that_see_the_files(
                 done(number, job())
             return []
 
-    monkeypatch.setattr(precompute.wardrobe, "precompute", copied)
+    monkeypatch.setattr(precompute.wardrobe_learning, "precompute", copied)
     with Dealt(2) as workers:
         workers.sees_files = sees_files
         scenes = {name: scene() for name in ("one", "two")}

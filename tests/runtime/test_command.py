@@ -298,7 +298,7 @@ def test_a_worker_ended_from_outside_is_one_message_and_status_1(
     scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene.write_text(LEARNING, encoding="utf-8")
-    monkeypatch.setattr("precompute.learning.recording._record", _killed)
+    monkeypatch.setattr("precompute.learning.run_recording._record", _killed)
     assert command.main(["precompute", str(scene), "-o", str(tmp_path / "out.h5")]) == 1
     message = capsys.readouterr().err.strip().splitlines()[-1]
     assert message.startswith("gube precompute: a simulating process was ended from outside")

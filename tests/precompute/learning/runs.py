@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pbd import Fabric, ModelOptions, SolverOptions
-from precompute.learning.recording import Run
+from precompute.learning.run_recording import Run
 from runtime.simulation import poses_of
 from tests.runtime.players import skirt_stage
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from pbd import Fabric, ModelOptions, SolverOptions
 from precompute.learning.decoding import decode_recording, with_vertex_mean
-from precompute.learning.recording import Recording, Run
+from precompute.learning.run_recording import Recording, Run
 from precompute.learning.training import build_layer, features_of
 from runtime.garment_setup import GarmentSetup
 from runtime.simulation import poses_of

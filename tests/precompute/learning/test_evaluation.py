@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pbd import InputError, Plane
-from precompute.learning.recording import Recording
+from precompute.learning.run_recording import Recording
 from precompute.learning.truth import Truth, fine_run
 from tests.runtime.players import skirt_database, skirt_stage
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from precompute.learning.in_time import SLOWED, Pause, popping
-from precompute.learning.recording import Run
+from precompute.learning.run_recording import Run
 from precompute.learning.truth import fine_run
 from runtime.simulation import poses_of
 from tests.runtime.players import skirt_database, skirt_stage

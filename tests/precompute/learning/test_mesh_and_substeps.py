@@ -16,7 +16,7 @@ import pytest
 from precompute.learning.evaluation import free_figures, mean_figures
 from precompute.learning.pipeline import default_cache, scene_run
 from precompute.learning.truth import Truth, truth_of
-from precompute.reporting.charts import Chart, Point, draw_charts, write_png
+from precompute.reporting.cost_charts import Chart, Point, draw_charts, write_png
 from precompute.workers import Workers
 from precompute.wrinkle_comparison.baselines import PlayerTurn, take_turns
 from runtime.garment_setup import GarmentSetup, scene_of

@@ -14,7 +14,7 @@ from pbd import InputError
 from precompute.learning import pipeline
 from precompute.learning.options import LearningOptions
 from precompute.learning.pipeline import STAGES, Precomputed, default_cache, precompute, scene_run, training_recordings
-from precompute.learning.recording import Recording, Run
+from precompute.learning.run_recording import Recording, Run
 from precompute.learning.truth import judged_from, levels_from, settled
 from runtime.garment_setup import GarmentSetup, scene_of
 from runtime.player import Player

@@ -11,8 +11,8 @@ import pytest
 from assets.character import Character
 from assets.io.sequence import Sequence
 from pbd import ClothMesh, Fabric, ModelOptions, Plane, SolverOptions
-from precompute.learning import recording
-from precompute.learning.recording import Recording, record_runs
+from precompute.learning import run_recording as recording
+from precompute.learning.run_recording import Recording, record_runs
 from runtime.simulation import Simulation, body_source
 from tests.data import ROOT
 from tests.precompute.learning.runs import CHUNK, FRAMES, skirt_run
@@ -128,7 +128,7 @@ def test_the_last_chunk_may_be_short(tmp_path: Path, steps: list[float]) -> None
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from precompute.learning import recording
+from precompute.learning import run_recording as recording
 from runtime.simulation import Simulation, body_source
 from tests.precompute.learning.runs import CHUNK, skirt_run
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pbd.geometry import surface_normals
-from precompute.learning.recording import Recording
+from precompute.learning.run_recording import Recording
 from precompute.learning.training import (
     Layer,
     build_layer,

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from precompute.learning.pipeline import Precomputed, default_cache, precompute
-from precompute.planning import cost_table as measuring
+from precompute.planning import cost_measurement as measuring
 from precompute.planning.planning import cost_table_of, plain_cloth
 from runtime import command
 from runtime.cost_table import CostTable, cost_table_path
@@ -107,11 +107,13 @@ def test_plan_of_a_scene_makes_its_database_and_its_front_once(
     out.mkdir()
     (out / ".gube-cache").symlink_to(default_cache(learned.path), target_is_directory=True)
     words = ["plan", str(scene), "-o", str(out), "--distance", "20", "--budget-ms", "1000", "--json"]
-    monkeypatch.setattr("precompute.wrinkle_comparison.compare.precompute", partial(precompute, options=OPTIONS))
+    monkeypatch.setattr(
+        "precompute.wrinkle_comparison.compare_database.precompute", partial(precompute, options=OPTIONS)
+    )
     assert command.main([*words, str(tmp_path / "first.json")]) == 0
     made = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
     assert set(made) == {"little.h5", "little.cost_table.json"}
-    monkeypatch.setattr("precompute.wrinkle_comparison.compare.precompute", None)
+    monkeypatch.setattr("precompute.wrinkle_comparison.compare_database.precompute", None)
     monkeypatch.setattr("precompute.planning.planning.measure_cost_table", None)
     assert command.main([*words, str(tmp_path / "second.json")]) == 0
     first, second = (

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from assets.io.scene import load_scene
-from precompute.demo import FULL
+from precompute.demo_run import FULL
 from precompute.learning.pipeline import precompute
 from precompute.planning.planning import cost_table_of, plan_figures, seen_from
 from runtime.cost_table import CostTable

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from pbd.errors import InputError
-from precompute.reporting.charts import _COLORS, draw_charts, pareto_front
-from precompute.reporting.page import Chart, Heading, Picture, Point, Table, Text, render_page, write_page
+from precompute.reporting.cost_charts import _COLORS, draw_charts, pareto_front
+from precompute.reporting.html_page import Chart, Heading, Picture, Point, Table, Text, render_page, write_page
 from runtime.pictures import save_png
 
 VOID = {"meta", "img"}

@@ -13,14 +13,14 @@ import pytest
 
 from pbd import InputError, SolverOptions
 from precompute.learning.evaluation import play_freely
-from precompute.learning.recording import Run
+from precompute.learning.run_recording import Run
 from precompute.learning.truth import SETTLE, Truth, fine_run, levels_from, truth_of
 from precompute.scratch import Tally
-from precompute.wrinkle_comparison import compare as comparing
+from precompute.wrinkle_comparison import compare_database as comparing
 from precompute.wrinkle_comparison import wrinkle_comparison
 from precompute.wrinkle_comparison.baselines import ClothTurn, fine_cloth, plain_cloths, take_turns
 from precompute.wrinkle_comparison.blind import blind_figures, write_blind
-from precompute.wrinkle_comparison.compare import (
+from precompute.wrinkle_comparison.compare_database import (
     RUNS,
     check_length,
     compare,

@@ -22,10 +22,10 @@ from precompute.learning.evaluation import Evaluation
 from precompute.learning.options import LearningOptions
 from precompute.learning.pipeline import STAGES as LEARNING_STAGES
 from precompute.learning.pipeline import default_cache, precompute, scene_run
-from precompute.learning.recording import Recording, Run, record_runs
+from precompute.learning.run_recording import Recording, Run, record_runs
 from precompute.learning.stages import StageClock
 from precompute.learning.truth import Truth, settled, truth_runs
-from precompute.reporting.page import write_page
+from precompute.reporting.html_page import write_page
 from precompute.workers import Workers
 from runtime.bake import bake_glb
 from runtime.garment_setup import GarmentSetup
@@ -178,7 +178,7 @@ def run_demo(
         say: called with lines that stay on the screen: the stages as they begin, and that the first picture is there.
         report: called with lines of progress.
     """
-    from precompute.wrinkle_comparison.compare import compare, write_choice
+    from precompute.wrinkle_comparison.compare_database import compare, write_choice
     from precompute.wrinkle_comparison.comparison_page import comparison_sections
 
     say = say or (lambda line: None)

@@ -16,7 +16,7 @@ from pbd.storage import replacing
 from precompute.learning.options import LearningOptions
 from precompute.learning.pipeline import DEFAULT, precompute
 from precompute.learning.stages import counted
-from precompute.reporting.page import Section, Table, Text, write_page
+from precompute.reporting.html_page import Section, Table, Text, write_page
 from precompute.scratch import scratch_folder
 from precompute.workers import Workers
 from wrinkles.database import code_version

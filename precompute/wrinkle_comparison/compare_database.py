@@ -17,7 +17,7 @@ from pbd import InputError
 from pbd.distance import penetration_figures
 from precompute.learning.evaluation import body_distances, floor_figures, free_figures, mean_figures
 from precompute.learning.pipeline import default_cache, precompute
-from precompute.learning.recording import Run
+from precompute.learning.run_recording import Run
 from precompute.learning.stages import counted
 from precompute.learning.truth import SETTLE, Truth, database_run, truth_of
 from precompute.scratch import Tally, scratch_folder

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from precompute.learning.decoding import blocks_of, decode_recording
-from precompute.learning.recording import Recording, Run
+from precompute.learning.run_recording import Recording, Run
 from precompute.learning.stages import counted
 from precompute.learning.training import Layer, features_of, spread_frames
 from precompute.workers import Workers
