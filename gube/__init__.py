@@ -50,7 +50,7 @@ SOURCES = {
     "load_scene": "assets.io.scene:load_scene",
     "make_solver": "pbd.models.registry:make_solver",
     "parse_scene": "assets.io.scene:parse_scene",
-    "player_of": "runtime.plain_player:player_of",
+    "player_of": "runtime.player:player_of",
     "precompute": "precompute.learning.pipeline:precompute",
     "read_cost_table": "runtime.cost_table:read_cost_table",
     "read_database": "wrinkles.database_file:read_database",
@@ -94,10 +94,10 @@ if TYPE_CHECKING:
     from runtime.game_loop import LiveInput as LiveInput
     from runtime.garment_group import GarmentGroup as GarmentGroup
     from runtime.level_of_detail import LevelOfDetail as LevelOfDetail
-    from runtime.plain_player import player_of as player_of
     from runtime.planner import Planner as Planner
     from runtime.planner import ViewSize as ViewSize
     from runtime.player import Player as Player
+    from runtime.player import player_of as player_of
     from runtime.scene_simulation import simulation_of as simulation_of
     from runtime.simulation import Simulation as Simulation
     from wrinkles.database import WrinkleDatabase as WrinkleDatabase

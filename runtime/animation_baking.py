@@ -16,9 +16,8 @@ from pbd import InputError
 from runtime.bake import bake_glb, bake_mdd, bake_obj, bake_pc2, bake_usd
 from runtime.game_loop import GameLoop, LiveInput
 from runtime.outputs import check_file
-from runtime.plain_player import PlainPlayer, player_of
 from runtime.playback_inputs import PlaybackInputs
-from runtime.player import Player
+from runtime.player import Player, player_of
 from runtime.simulation import Simulation
 from wrinkles.database import WrinkleDatabase
 
@@ -47,7 +46,7 @@ def baked_frames(
     seconds: float | None = None,
     *,
     report: Callable[[str], None] = lambda line: None,
-) -> tuple[Player | PlainPlayer, np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[Player, np.ndarray, np.ndarray, np.ndarray]:
     """Play a motion and keep the garment at a rate of its own, from the motion's own first frame on.
 
     What leads to that frame is played and not kept, so that the frames fit the clip that somebody animated.

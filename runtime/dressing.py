@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
+from pbd import InputError
 from pbd.attachment import Attachment
+from runtime.played_garment import PlayedGarment
 from runtime.simulation import Simulation
 from wrinkles.database import WrinkleDatabase
+from wrinkles.levels import Levels
 from wrinkles.worn_garments import garment_names
 
-__all__ = ["Stay", "place_on_body", "settle", "take_over"]
+__all__ = ["Stay", "Wardrobe", "place_on_body", "settle", "take_over"]
 
 SETTLING_STEPS = 20  # in which a garment that was put on finds its place on the body and over the garments below it
 SETTLING_TIME = 1.0 / 60.0  # of each of them [s]
@@ -130,3 +134,77 @@ def settle(simulation: Simulation, new: np.ndarray) -> None:
             getattr(state, name)[places] = getattr(moving, name)[places]
     body.previous[:] = previous
     state.carrier, simulation.time = moving.carrier, time
+
+
+class Wardrobe:
+    """The garments of an outfit that can be worn, and what was made for those that were worn together.
+
+    Args:
+        outfit: all garments.
+        make: makes what is played of some garments of the outfit, given their database.
+
+    Attributes:
+        outfit: the argument.
+    """
+
+    def __init__(self, outfit: WrinkleDatabase, make: Callable[[WrinkleDatabase], PlayedGarment]) -> None:
+        self.outfit, self._make = outfit, make
+        self._made: dict[tuple[str, ...], PlayedGarment] = {}
+        self._open: set[str] = set()  # what was opened by hand
+
+    def take(self, database: WrinkleDatabase) -> PlayedGarment:
+        """What is played of some garments of the outfit."""
+        names = garment_names(database)
+        if names not in self._made:
+            self._made[names] = self._make(database)
+        return self._made[names]
+
+    def put_on(self, now: PlayedGarment, before: PlayedGarment) -> Stay:
+        """Bring garments of the outfit to the place and time of others; what is put on finds its place.
+
+        Args:
+            now: the garments that are worn from now on.
+            before: those that were worn.
+
+        Returns:
+            what stays on.
+        """
+        assert now.learned is not None and before.learned is not None
+        (database, levels), simulation = now.learned, now.simulation
+        stay = Stay.between(before.learned[0], database)
+        take_over(before.simulation, simulation, stay)
+        if len(stay.new):
+            place_on_body(simulation, levels.coarse.vertices, stay.new)
+            settle(simulation, stay.new)
+        for name in _fastened(levels):
+            self._fasten(now, name, name not in self._open)
+        now.between.remember()
+        now.between.before[stay.coarse, :3] = before.between.before[stay.before, :3]
+        simulation.solver.options = before.simulation.solver.options
+        now.surface.begin(simulation.state.position)
+        now.control.go_on_from(before.control)
+        return stay
+
+    def fasten(self, garment: PlayedGarment, name: str, closed: bool) -> None:
+        """Fasten one of the garments that are worn to those below it, or open it.
+
+        Raises:
+            InputError: a garment that is not worn, or that nothing fastens.
+        """
+        assert garment.learned is not None
+        fastened = _fastened(garment.learned[1])
+        if name not in fastened:
+            expected = "one of " + ", ".join(fastened) if fastened else "none: nothing is fastened"
+            raise InputError("no such fastening", key="name", received=name, expected=expected)
+        self._open = self._open - {name} if closed else self._open | {name}
+        self._fasten(garment, name, closed)
+
+    def _fasten(self, garment: PlayedGarment, name: str, closed: bool) -> None:
+        assert garment.learned is not None and garment.learned[1].layers is not None
+        garment.simulation.fasten(garment.learned[1].layers.names.index(name), closed)
+
+
+def _fastened(levels: Levels) -> list[str]:
+    """Names of the garments that the scene fastens to those below them."""
+    layers = levels.layers
+    return [] if layers is None else sorted({layers.names[k] for k in np.unique(layers.layer[layers.fastened])})

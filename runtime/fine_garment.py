@@ -6,9 +6,9 @@ import time
 
 import numpy as np
 
-from pbd import Body, State
+from pbd import State
 from runtime.level_of_detail import LevelOfDetail
-from runtime.simulation import BodySource
+from runtime.simulation import BodySource, Simulation
 from wrinkles.charts import Charts
 from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase
@@ -64,25 +64,12 @@ class FineGarment:
         self,
         position: np.ndarray,
         alpha: float,
-        state: State,
-        body: Body,
+        simulation: Simulation,
         body_vertices: np.ndarray,
         detail: LevelOfDetail,
-    ) -> tuple[float, float]:
-        """Write :attr:`vertices`.
-
-        Args:
-            position: of the coarse vertices, float32, shape (n, 4); the first three columns are used [m].
-            alpha: where they are between the last two states: 1 at the last one.
-            state: of the coarse garment; gives contacts with the body.
-            body: that the garment lies on.
-            body_vertices: where the body is shown [m], float32, shape (b, 3).
-            detail: says how many parts of the work are done, and how often.
-
-        Returns:
-            processor time of decoding and of relaxation [ms].
-        """
-        began = time.thread_time()
+    ) -> float:
+        """Write :attr:`vertices`; see :meth:`runtime.surface.Surface.make`."""
+        state, body = simulation.state, simulation.body
         position = self._filter(self._sharpen(position, alpha))
         decoder, drawn = self._decoder, detail.atoms > 0
         self._upsample.to_middle(position)
@@ -92,7 +79,7 @@ class FineGarment:
             decoder.read(position, state.contact)
         grids = decoder.grids if drawn else None
         self._surface(self._upsample.middle, grids, decoder.frames, self.vertices)
-        decoded = time.thread_time()
+        began = time.thread_time()
         targets = self._levels.fine_attachment.targets(body_vertices)
         if detail.passes:
             self._relax(
@@ -100,7 +87,7 @@ class FineGarment:
             )
         else:
             self.vertices[self._levels.fine_held] = targets
-        return 1e3 * (decoded - began), 1e3 * (time.thread_time() - decoded)
+        return 1e3 * (time.thread_time() - began)
 
     @property
     def novelty_score(self) -> np.ndarray:
@@ -118,24 +105,23 @@ class FineGarment:
         self._sharpen.memory, self._relax.memory = memory[:count], memory[count:]
 
     def sample(
-        self, position: np.ndarray, state: State, body: Body, body_vertices: np.ndarray, detail: LevelOfDetail
+        self, position: np.ndarray, simulation: Simulation, body_vertices: np.ndarray, detail: LevelOfDetail
     ) -> np.ndarray:
         """Vertices as :meth:`make` makes them, float32, shape (N, 3); the garment itself stays as it is."""
         kept, memory = self.vertices.copy(), self._relax.memory
-        self.make(position, 1.0, state, body, body_vertices, detail)
+        self.make(position, 1.0, simulation, body_vertices, detail)
         made = self.vertices.copy()
         self.vertices[:], self._relax.memory = kept, memory
         return made
 
     def subdivide_velocity(self, velocity: np.ndarray, out: np.ndarray) -> None:
-        """Velocities of the fine vertices without wrinkles.
-
-        Args:
-            velocity: of the coarse vertices, float32, shape (n, 4); the first three columns are used [m/s].
-            out: gets those of the fine ones [m/s], float32, shape (N, 3).
-        """
+        """Velocities of the fine vertices; see :meth:`runtime.surface.Surface.subdivide_velocity`."""
         self._upsample_velocity(self._filter(velocity), out)
 
     def update_normals(self) -> None:
         """Write :attr:`normals`; vertices along a cut in the mesh have the normal of the vertex that they stand for."""
         self._write_normals(self.vertices, self.normals)
+
+    def smooth(self, state: State) -> np.ndarray:
+        """The garment without wrinkles in the world [m], float64, shape (N, 3)."""
+        return self._levels.subdivision.upsample(state.world())

@@ -14,9 +14,8 @@ from assets.motion import Motion
 from pbd import InputError
 from pbd.wind import CALM, Air
 from runtime.game_loop import GameLoop, LiveInput, ScriptedInput
-from runtime.plain_player import PlainPlayer, player_of
 from runtime.playback_inputs import PlaybackInputs
-from runtime.player import Player
+from runtime.player import Player, player_of
 from runtime.report import process_age
 from runtime.shown_body import shown_body
 from runtime.simulation import body_source, poses_of
@@ -53,7 +52,7 @@ class Free:
 
 
 def play(
-    player: Player | PlainPlayer,
+    player: Player,
     poses: np.ndarray,
     dt: float,
     wind: Air = CALM,
@@ -144,7 +143,7 @@ def play_motion(
     body = shown_body(inputs.body, player.levels)
     bodies = posed_bodies(body, poses[free.numbers])
     columns = {"smooth": free.smooth, "ours": free.frames}
-    if isinstance(player, PlainPlayer):
+    if player.cloth is not None:
         columns = {"plain cloth": free.frames}
     draw_strips_apart(folder, motion.name, columns, *garment, bodies, body.faces, free.numbers, dt)
     figures: dict[str, float | str] = {"frame_count": len(poses) - 1, "first_frame_s": first}

@@ -1,11 +1,13 @@
-"""Plays a wrinkle database: pose and dt in, fine vertices and normals out."""
+"""Plays a garment: pose and dt in, fine vertices and normals out.
+
+Where a comparison has found that plain cloth costs less and is as good, :func:`player_of` plays it.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -15,33 +17,30 @@ from pbd import InputError
 from pbd.contact.colliders import Primitive
 from pbd.wind import CALM, Air
 from runtime.checks import check_drag, check_step
-from runtime.dressing import Stay, place_on_body, settle, take_over
+from runtime.dressing import Wardrobe
 from runtime.fine_garment import FineGarment
 from runtime.level_of_detail import LevelOfDetail
 from runtime.moment import Moment
-from runtime.proxy_simulation import ProxySimulation
+from runtime.plain_cloth import PlainCloth, plain_choice
+from runtime.played_garment import PlayedGarment, played_cloth, played_scene, played_wrinkles
 from runtime.simulation import Simulation, body_source
-from runtime.transitions import FADE, Extrapolation, Fade, Interpolation
+from runtime.surface import Surface
+from runtime.transitions import FADE
 from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels
-from wrinkles.proxy_mesh import proxy_mesh_of
-from wrinkles.relaxation import PASSES
 from wrinkles.worn_garments import garment_names, with_garments
 
-__all__ = ["FADE", "PARTS", "Player"]
+__all__ = ["FADE", "PARTS", "Player", "player_of"]
 
-DRESSED = (
-    "database", "levels", "simulation", "_fine", "vertices", "normals", "_between", "_extrapolation", "_fade", "full",
-    "_coarser", "start",
-)  # fmt: skip
-"""Attributes of a player that belong to the garments that are worn."""
 PARTS = ("skin", "coarse", "decode", "relax", "normals", "frame")  # of a frame's time
 
 
 class Player:
     """Plays one garment of a wrinkle database on one body: poses in, fine vertices and normals out.
 
-    A frame allocates no memory, except for small matrices of NumPy.
+    It plays the learned wrinkles, or plain cloth (:class:`runtime.plain_cloth.PlainCloth`). Of plain cloth the coarse
+    vertices of the database are the first simulated ones, so that they can be dragged by their numbers. Garments
+    without a database are played by :meth:`of_scene`. A frame allocates no memory, except for small matrices of NumPy.
 
     Args:
         database: the garment and its wrinkles.
@@ -49,17 +48,15 @@ class Player:
         pose: pose of the body at the start: its bind pose, moved as a whole; None takes the bind pose itself.
         primitives: further colliders of the coarse garment: planes, spheres, capsules, distance fields.
         fabric: name of a fabric of the database; None takes the garment's own.
+        cloth: plain cloth that is simulated instead; None plays the wrinkles.
 
     Attributes:
-        levels: coarse and fine mesh.
-        vertices: fine vertices about ``origin`` [m], float32, shape (N, 3).
-        normals: unit, float32, shape (N, 3).
+        cloth: the argument.
         timings: processor times of the last frame by part [ms].
-        full: the most detail there is; the player begins with it.
-        start: the moment at which the garments that are worn would begin.
 
     Raises:
-        InputError: a body that the database was not made for, a fabric that it was not learned in, or a bad pose.
+        InputError: a body that the database was not made for, a fabric that it was not learned in, a plain cloth that
+            is not there, or a bad pose.
     """
 
     def __init__(
@@ -69,54 +66,115 @@ class Player:
         pose: np.ndarray | None = None,
         primitives: Iterable[Primitive] = (),
         fabric: str | None = None,
+        *,
+        cloth: PlainCloth | None = None,
     ) -> None:
         database.require_body(body)
         bind_pose = body.bind_pose() if isinstance(body, Character) else body.vertices[0]
-        self._start_pose = start = bind_pose if pose is None else pose
+        start = bind_pose if pose is None else pose
         if fabric is not None:
             database = database.in_fabric(fabric)
-        self._pose_shape = (len(body.joint_names), 3, 4) if isinstance(body, Character) else body.vertices.shape[1:]
-        check_step(start, self._pose_shape)
-        self._outfit, self._source, self._primitives = database, body_source(body), tuple(primitives)
-        self._dressed: dict[tuple[str, ...], dict[str, Any]] = {}  # what was made for other sets of garments
-        self._unfastened: set[str] = set()
-        self._idle, self._dt, self._wait = 0.0, 0.0, 0  # since the last update, last tick [s]; ticks to leave out
-        self._alpha = 1.0
-        self.timings: dict[str, float] = dict.fromkeys(PARTS, 0.0)
-        self._dress(database, start)
-
-    def _dress(self, database: WrinkleDatabase, start: np.ndarray) -> None:
-        """Make all that depends on the garments that are worn, at a pose of the body."""
-        source = self._source
-        self.database = database
-        self.levels: Levels = database.levels(source.vertices, source.faces)
-        rest = database.rest_shape.applied(self.levels.coarse)
-        model = self.levels.model(database.fabric, database.options, bend_factor=database.bend_factor, mesh=rest)
-        self.simulation = Simulation(
-            model, self.levels.coarse_attachment, source, start, database.solver, self._primitives
+        self.cloth, self._wardrobe = cloth, None
+        source, primitives = body_source(body), tuple(primitives)
+        if cloth is not None:
+            self._begin(played_cloth(database, source, start, primitives, cloth), start)
+            return
+        self._wardrobe = Wardrobe(
+            database, lambda worn: self._begin(played_wrinkles(worn, source, start, primitives), start)
         )
-        self._fine = FineGarment(database, self.levels, source)
-        self.vertices, self.normals = self._fine.vertices, self._fine.normals
-        self._between = Interpolation(self.simulation)
-        self._extrapolation = Extrapolation(self.simulation, self._fine)
-        self._fade = Fade(self.vertices)
-        substeps = max(1, int(np.ceil(1.0 / (database.frame_rate * database.solver.substep) - 1e-6)))
-        self.full = LevelOfDetail(1, substeps, len(database.atoms.shapes), PASSES)
-        self._detail = self.full
-        self._coarser: ProxySimulation | None = None  # made when it is first asked for
-        self._warm_up(start)
+        self._wardrobe.take(database)
+
+    @classmethod
+    def of_scene(cls, simulation: Simulation, pose: np.ndarray | None, rate_hz: float) -> Player:
+        """Plays the garments of a scene, also without a body, with a smooth surface through them and no normals.
+
+        Args:
+            simulation: of the garments, at its start.
+            pose: pose of the body at the start; None without a body.
+            rate_hz: rate of ticks [Hz].
+        """
+        player = cls.__new__(cls)
+        player.cloth, player._wardrobe = None, None
+        player._begin(played_scene(simulation, rate_hz), pose)
+        return player
+
+    def _begin(self, garment: PlayedGarment, pose: np.ndarray | None) -> PlayedGarment:
+        """Play a garment from its start, as fast in the first frame as in the others.
+
+        A step that is taken back loads or compiles every kernel.
+        """
+        self._garment, simulation = garment, garment.simulation
+        self.timings: dict[str, float] = dict.fromkeys(PARTS, 0.0)
+        start = simulation.state.copy()
+        self.step(pose, 1.0 / garment.rate_hz)
+        simulation.state = start
+        if self._wardrobe is None:  # learned wrinkles are played one tick further into turbulent wind
+            simulation.time = 0.0
+        if pose is not None:
+            simulation.place_body(pose)
+        garment.surface.begin(start.position)
+        garment.between.remember()
+        self.timings = dict.fromkeys(PARTS, 0.0)
         self.decode()
-        self.start = self.keep()
+        garment.start = self.keep()
+        return garment
+
+    @property
+    def simulation(self) -> Simulation:
+        """Simulation of the garment."""
+        return self._garment.simulation
+
+    @property
+    def surface(self) -> Surface:
+        """What is shown of it."""
+        return self._garment.surface
+
+    @property
+    def vertices(self) -> np.ndarray:
+        """Fine vertices about :attr:`origin` [m], float32, shape (N, 3)."""
+        return self._garment.surface.vertices
+
+    @property
+    def normals(self) -> np.ndarray:
+        """Normals of the fine vertices, unit, float32, shape (N, 3)."""
+        return self._garment.surface.normals
+
+    @property
+    def database(self) -> WrinkleDatabase:
+        """The garments that are worn and their wrinkles; a scene has none."""
+        return self._learned[0]
+
+    @property
+    def levels(self) -> Levels:
+        """Coarse and fine mesh of :attr:`database`."""
+        return self._learned[1]
+
+    @property
+    def _learned(self) -> tuple[WrinkleDatabase, Levels]:
+        learned = self._garment.learned
+        if learned is None:
+            raise InputError("no database", key="player", received="garments of a scene", expected="one of a database")
+        return learned
+
+    @property
+    def start(self) -> Moment:
+        """The moment at which the garments that are worn would begin."""
+        return self._garment.start
+
+    @property
+    def full(self) -> LevelOfDetail:
+        """The most detail there is; the player begins with it."""
+        return self._garment.control.full
 
     @property
     def worn(self) -> tuple[str, ...]:
-        """Names of the garments that are worn, from the innermost outwards."""
-        return garment_names(self.database)
+        """Names of the garments that are worn, from the innermost outwards; none where none can be taken off."""
+        return () if self._wardrobe is None else garment_names(self.database)
 
     def wear(self, names: Iterable[str]) -> None:
-        """Put garments of an outfit on and take others off; those that stay on keep their state, without a jump.
+        """Put garments of an outfit on and take others off; what stays on goes on as it is, and nothing of it pops.
 
-        A garment that is put on is placed where the body carries it from the bind pose, and settles within this call.
+        What is put on is placed where the body carries it from the bind pose, and finds its place within this call.
         ``database``, ``levels``, ``simulation``, ``vertices`` and ``normals`` are others after it. The first call with
         a set of garments makes what these need in a second or two; the player keeps that for the next time, so that
         taking off then costs a few frames and putting on some tenths of a second. A vertex that was dragged is free.
@@ -125,40 +183,38 @@ class Player:
             names: of garments of the outfit; the order in which they are worn is that of the outfit.
 
         Raises:
-            InputError: no garment, or one that the outfit does not have; then nothing has changed.
+            InputError: no garment, one that the outfit does not have, or no learned wrinkles; then nothing has changed.
         """
-        database = with_garments(self._outfit, names)
-        before, worn = self.worn, garment_names(database)
-        if worn == before:
+        wardrobe = self._require_wardrobe()
+        database = with_garments(wardrobe.outfit, names)
+        if garment_names(database) == self.worn:
             return
-        if self._detail.level:  # the mesh below the coarse one is another for other garments
-            self.change(replace(self._detail, level=0), self._wait, fade=False)
-        old_database, old_simulation, shown = self.database, self.simulation, self.vertices.copy()
-        old_between, detail, times = self._between.before, self._detail, (self._idle, self._dt, self._wait)
-        self._dressed[before] = {name: getattr(self, name) for name in DRESSED}
-        if worn in self._dressed:
-            vars(self).update(self._dressed[worn])
-        else:
-            self._dress(database, self._start_pose)
-        stay = Stay.between(old_database, self.database)
-        simulation = self.simulation
-        take_over(old_simulation, simulation, stay)
-        if len(stay.new):
-            place_on_body(simulation, self.levels.coarse.vertices, stay.new)
-            settle(simulation, stay.new)
-        for name in self._fastened():
-            self._fasten(name, name not in self._unfastened)
-        self._between.remember()
-        self._between.before[stay.coarse, :3] = old_between[stay.before, :3]
-        simulation.solver.options = old_simulation.solver.options
-        self._fine.begin(simulation.state.position)
-        self._detail, self._extrapolation.started = detail, False
-        self._idle, self._dt, self._wait = times
-        self._fade.prepare()
+        if self.detail.level:  # the mesh below the coarse one is another for other garments
+            self.change(replace(self.detail, level=0), self._garment.control.wait, fade=False)
+        before, shown = self._garment, self.vertices.copy()
+        self._garment = wardrobe.take(database)
+        stay = wardrobe.put_on(self._garment, before)
         self.decode(self._alpha)
         now = self.vertices.copy()
         now[stay.fine] = shown[stay.fine_before]
-        self._fade.start_from(now)
+        self._garment.control.fade.start_from(now)
+
+    def fasten(self, name: str, closed: bool = True) -> None:
+        """Fasten a garment of an outfit to those below it again, as its scene says, or open it.
+
+        Args:
+            name: one of :attr:`worn`.
+            closed: False opens it.
+
+        Raises:
+            InputError: a garment that is not worn, or that nothing fastens.
+        """
+        self._require_wardrobe().fasten(self._garment, name, closed)
+
+    def _require_wardrobe(self) -> Wardrobe:
+        if self._wardrobe is None:
+            raise InputError("all garments stay on", key="player", received="plain cloth", expected="learned wrinkles")
+        return self._wardrobe
 
     @property
     def origin(self) -> np.ndarray:
@@ -173,7 +229,7 @@ class Player:
     @property
     def detail(self) -> LevelOfDetail:
         """How much is modelled; see :meth:`change`."""
-        return self._detail
+        return self._garment.control.detail
 
     def change(self, detail: LevelOfDetail, wait: int = 0, *, fade: bool = True) -> None:
         """Model more or less from now on. The coarse state goes on as it is, and nothing pops.
@@ -187,25 +243,11 @@ class Player:
                 a frame take turns.
             fade: False shows the new detail at once: after a cut there is no picture that it could jump in.
         """
-        self._wait = min(wait, detail.every - 1)
-        if detail == self._detail:
-            return
-        if detail.level:
-            self.prepare([detail])
-        self._fade.prepare()
-        before, self._detail, self._extrapolation.started = self._detail, detail, False
-        substep = self.database.solver.substep
-        if (detail.every, detail.substeps) != (self.full.every, self.full.substeps):
-            substep = detail.every / (self.database.frame_rate * detail.substeps)
-        self._moved.solver.options = replace(self.database.solver, substep=substep)
-        if self._coarser is not None and detail.level > before.level:
-            self._coarser.take_over()
-            self._between.before[:, :3] = self._coarser.carried(self._between.before[:, :3])
-        elif self._coarser is not None and detail.level < before.level:
-            self._coarser.give_back()
-        self.decode(self._alpha)
-        if fade:
-            self._fade.start()
+        control = self._garment.control
+        if control.turn_to(detail, wait):
+            self.decode(self._alpha)
+            if fade:
+                control.fade.start()
 
     def prepare(self, details: Iterable[LevelOfDetail]) -> None:
         """Make in advance all that some details need: the mesh below the coarse one takes some tenths of a second.
@@ -213,86 +255,46 @@ class Player:
         Raises:
             InputError: a level that this garment does not have.
         """
-        if self._coarser is not None or not any(detail.level for detail in details):
-            return
-        proxy = proxy_mesh_of(self.levels, self.database.warp)
-        if proxy is None:
-            raise InputError("no such mesh", key="level", received=1, expected="0: this garment's mesh is too coarse")
-        self._coarser = ProxySimulation(
-            proxy, self.simulation, self.database.options, self._source.vertices, self.levels.coarse_attachment
-        )
-
-    @property
-    def _moved(self) -> Simulation:
-        """What is stepped."""
-        return self._coarser.simulation if self._coarser is not None and self._detail.level else self.simulation
-
-    def fasten(self, name: str, closed: bool = True) -> None:
-        """Fasten a garment of an outfit to those below it again, as its scene says, or open it.
-
-        Args:
-            name: one of :attr:`worn`.
-            closed: False opens it.
-
-        Raises:
-            InputError: a garment that is not worn, or that nothing fastens.
-        """
-        fastened = self._fastened()
-        if name not in fastened:
-            expected = "one of " + ", ".join(fastened) if fastened else "none: nothing is fastened"
-            raise InputError("no such fastening", key="name", received=name, expected=expected)
-        self._unfastened = self._unfastened - {name} if closed else self._unfastened | {name}
-        self._fasten(name, closed)
-
-    def _fastened(self) -> list[str]:
-        """Names of the garments that are worn and that the scene fastens to those below them."""
-        layers = self.levels.layers
-        return [] if layers is None else sorted({layers.names[k] for k in np.unique(layers.layer[layers.fastened])})
-
-    def _fasten(self, name: str, closed: bool) -> None:
-        assert self.levels.layers is not None
-        self.simulation.fasten(self.levels.layers.names.index(name), closed)
+        self._garment.control.prepare(max((detail.level for detail in details), default=0))
 
     def update(self, pose: np.ndarray, dt: float, wind: Air = CALM) -> None:
         """One frame: advance the coarse garment to a pose in ``dt`` [s] and make the fine one; see :meth:`step`."""
         self.step(pose, dt, wind)
         self.decode()
 
-    def step(self, pose: np.ndarray, dt: float, wind: Air = CALM) -> None:
-        """Advance the coarse garment alone; with a :attr:`detail` that leaves ticks out, in some ticks only.
+    def step(self, pose: np.ndarray | None, dt: float, wind: Air = CALM) -> None:
+        """Advance the simulated garment alone; with a :attr:`detail` that leaves ticks out, in some ticks only.
 
         Args:
-            pose: of the body at the end of the step.
+            pose: of the body at the end of the step; None without a body.
             dt: [s].
             wind: velocity of the air [m/s].
 
         Raises:
             InputError: an input that is not finite or of another shape; then nothing has changed.
         """
-        check_step(pose, self._pose_shape, dt, wind=wind)
-        self._fade.advance(dt)
-        self._dt, self._idle = dt, self._idle + dt
-        if self._wait:
-            self._wait -= 1
-            self.timings["skin"] = self.timings["coarse"] = 0.0
+        garment, simulation, timings = self._garment, self.simulation, self.timings
+        control, between = garment.control, garment.between
+        self._check(pose, dt, wind)
+        due = control.elapse(dt)
+        if due is None:
+            timings["skin"] = timings["coarse"] = 0.0
             return
-        dt, self._idle, self._wait = self._idle, 0.0, self._detail.every - 1
-        self._extrapolation.started = False
-        simulation, moved = self.simulation, self._moved
+        stepped = control.stepped
         began = time.thread_time()
         origin = simulation.state.origin.copy()
-        self._between.remember()
-        moved.pose_body(pose)
-        self._between.move_origin(moved.state.origin - origin)
+        between.remember()
+        stepped.pose_body(pose)
+        between.move_origin(stepped.state.origin - origin)
         skinned = time.thread_time()
-        moved.time = simulation.time
-        moved.step_cloth(dt, wind)
-        simulation.time = moved.time
-        if self._coarser is not None and self._detail.level:
-            self._coarser.lead()
-        self._fine.follow(simulation.state.position, dt)
-        self.timings["skin"] = 1e3 * (skinned - began)
-        self.timings["coarse"] = 1e3 * (time.thread_time() - skinned)
+        control.step_cloth(due, wind)
+        garment.surface.follow(simulation.state.position, due)
+        timings["skin"] = 1e3 * (skinned - began)
+        timings["coarse"] = 1e3 * (time.thread_time() - skinned)
+
+    def _check(self, pose: np.ndarray | None, dt: float = 0.0, wind: Air = CALM) -> None:
+        source = self.simulation.source
+        check_step(None if source is None else pose, () if source is None else source.pose_shape, dt, wind=wind)
 
     def decode(self, alpha: float = 1.0) -> None:
         """Make fine vertices and normals.
@@ -300,110 +302,101 @@ class Player:
         Args:
             alpha: 0 for the state before the last step, 1 for the one after it, in between interpolated.
         """
-        self._alpha = alpha
-        if self._idle == 0.0 and self._detail.every == 1:
-            self._make(alpha)
-        else:
-            self._carry_on(alpha)
-        self._fade.add()
+        garment, timings, self._alpha = self._garment, self.timings, alpha
         began = time.thread_time()
-        if self._idle == 0.0:
-            self._fine.update_normals()
-        timings = self.timings
+        relax_ms = garment.control.show(alpha, self._make)
+        made = time.thread_time()
+        timings["decode"], timings["relax"] = 1e3 * (made - began) - relax_ms, relax_ms
+        garment.control.fade.add()
+        began = time.thread_time()
+        if garment.control.idle == 0.0:
+            garment.surface.update_normals()
         timings["normals"] = 1e3 * (time.thread_time() - began)
-        timings["frame"] = sum(timings[part] for part in ("skin", "coarse", "decode", "relax", "normals"))
+        timings["frame"] = sum(timings[part] for part in PARTS if part != "frame")
+
+    def _make(self, alpha: float) -> float:
+        """Make the surface of the last update, or between it and the one before; time of relaxation [ms]."""
+        garment = self._garment
+        position, body_vertices = garment.between.at(alpha)
+        return garment.surface.make(position, alpha, garment.simulation, body_vertices, garment.control.detail)
 
     def smooth(self) -> np.ndarray:
-        """The garment without wrinkles in the world [m], float64, shape (N, 3)."""
-        return self.levels.subdivision.upsample(self.simulation.state.world())
+        """The garment without wrinkles in the world [m], float64, shape (N, 3); of plain cloth this is all of it."""
+        return self.surface.smooth(self.simulation.state)
 
     def interpolated(self) -> tuple[np.ndarray, np.ndarray]:
-        """Coarse vertices, shape (n, 4), and body, shape (b, 3), of the last picture about ``origin`` [m], float32.
+        """Simulated vertices, shape (n, 4), and body, shape (b, 3), of the last picture about ``origin`` [m], float32.
 
         Both are valid until the next call.
         """
-        return self._between.at(self._alpha)
+        return self._garment.between.at(self._alpha)
 
     def predicted_error(self) -> np.ndarray:
         """Normal error of the wrinkles that is expected at each coarse vertex [deg], float32, shape (n,)."""
-        return np.exp(self._fine.novelty_score)
-
-    def keep(self) -> Moment:
-        """The present moment, to which :meth:`go_back` returns."""
-        return Moment.of(self.simulation, self._fine.memory)
-
-    def go_back(self, moment: Moment, pose: np.ndarray) -> None:
-        """Show a kept moment and play on from it. A vertex that was dragged then is free.
-
-        Args:
-            moment: of a player of this database, in any of its fabrics.
-            pose: of the body at that moment.
-
-        Raises:
-            InputError: a pose that is not finite or of another shape; then nothing has changed.
-        """
-        check_step(pose, self._pose_shape)
-        moment.put_back(self.simulation, pose)
-        self._fine.memory = moment.memory
-        self._idle, self._wait, self._extrapolation.started = 0.0, 0, False
-        self._fade.prepare()
-        if self._coarser is not None and self._detail.level:
-            self._coarser.take_over()
-        self._between.remember()
-        self.decode()
+        return np.exp(self._wrinkles.novelty_score)
 
     def decoded(self, detail: LevelOfDetail) -> np.ndarray:
         """Fine vertices of the last update at a detail, about ``origin`` [m], float32, shape (N, 3), a copy.
 
         The player itself stays as it is, so that two details can be compared on the same state.
         """
-        position, body_vertices = self._between.at(1.0)
-        return self._fine.sample(position, self.simulation.state, self.simulation.body, body_vertices, detail)
+        position, body_vertices = self._garment.between.at(1.0)
+        return self._wrinkles.sample(position, self.simulation, body_vertices, detail)
 
-    def _make(self, alpha: float) -> None:
-        """Fine vertices of the last update, or between it and the one before."""
-        began = time.thread_time()
-        position, body_vertices = self._between.at(alpha)
-        between_ms = 1e3 * (time.thread_time() - began)
-        simulation = self.simulation
-        decode_ms, relax_ms = self._fine.make(
-            position, alpha, simulation.state, simulation.body, body_vertices, self._detail
-        )
-        self.timings["decode"], self.timings["relax"] = between_ms + decode_ms, relax_ms
+    @property
+    def _wrinkles(self) -> FineGarment:
+        if not isinstance(self.surface, FineGarment):
+            raise InputError("no wrinkles", key="player", received="plain cloth", expected="learned wrinkles")
+        return self.surface
 
-    def _carry_on(self, alpha: float) -> None:
-        """Fine vertices between updates: those of the last one, carried on as the coarse garment went."""
-        began = time.thread_time()
-        self.timings["relax"] = 0.0
-        if not self._extrapolation.started:
-            self._make(1.0)
-            self._extrapolation.start()
-        self._extrapolation.show(self._idle - (1.0 - alpha) * self._dt)
-        self.timings["decode"] = 1e3 * (time.thread_time() - began) - self.timings["relax"]
+    def keep(self) -> Moment:
+        """The present moment, to which :meth:`go_back` returns."""
+        return Moment.of(self.simulation, self.surface.memory)
+
+    def go_back(self, moment: Moment, pose: np.ndarray | None) -> None:
+        """Show a kept moment and play on from it. A vertex that was dragged then is free.
+
+        Args:
+            moment: of a player of the same garments, in any fabric.
+            pose: of the body at that moment; None without a body.
+
+        Raises:
+            InputError: a pose that is not finite or of another shape; then nothing has changed.
+        """
+        self._check(pose)
+        moment.put_back(self.simulation, pose)
+        self.surface.memory = moment.memory
+        self._garment.control.start_again()
+        self._garment.between.remember()
+        self.decode()
 
     def drag(self, vertex: int, target: np.ndarray | None) -> None:
-        """Hold a coarse vertex at a point in the world [m], shape (3,); None lets it go.
+        """Hold a simulated vertex at a point in the world [m], shape (3,); None lets it go.
 
         To let go of a vertex that went with its garment (:meth:`wear`) changes nothing: a game loop cannot know of it.
 
         Raises:
             InputError: no such vertex, or a bad target.
         """
-        count = self.levels.subdivision.coarse_count
-        check_drag(vertex, target, count if target is not None else 2**31)
-        if target is None and vertex >= count:
-            return
+        if target is None and self._wardrobe is not None:
+            if check_drag(vertex, target, 2**31) >= self.simulation.model.vertex_count:
+                return
         self.simulation.drag(vertex, target)
-        if self._coarser is not None and self._detail.level:
-            self._coarser.hold()
+        self._garment.control.hold()
 
-    def _warm_up(self, pose: np.ndarray) -> None:
-        """Load or compile every kernel by a step that is taken back: the first frame is as fast as the others."""
-        simulation = self.simulation
-        start = simulation.state.copy()
-        self.step(pose, 1.0 / self.database.frame_rate)
-        simulation.state = start
-        simulation.place_body(pose)
-        self._fine.begin(start.position)
-        self._between.remember()
-        self.timings = dict.fromkeys(self.timings, 0.0)
+
+def player_of(
+    database: WrinkleDatabase,
+    body: Character | Sequence,
+    pose: np.ndarray | None = None,
+    *,
+    primitives: Iterable[Primitive] = (),
+    wrinkles: bool = False,
+) -> Player:
+    """What plays a database best: plain cloth where a comparison found that it costs less and is as good.
+
+    Args:
+        database, body, pose, primitives: as for :class:`Player`.
+        wrinkles: play the wrinkles in any case.
+    """
+    return Player(database, body, pose, primitives, cloth=None if wrinkles else plain_choice(database))

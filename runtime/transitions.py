@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from runtime.fine_garment import FineGarment
 from runtime.simulation import Simulation
+from runtime.surface import Surface
 
 __all__ = ["FADE", "Extrapolation", "Fade", "Interpolation"]
 
@@ -60,29 +60,29 @@ class Extrapolation:
 
     Args:
         simulation: of the coarse garment.
-        fine: the fine garment.
+        surface: the fine garment.
 
     Attributes:
         started: whether the last update is the one that is carried on.
     """
 
-    def __init__(self, simulation: Simulation, fine: FineGarment) -> None:
-        self._simulation, self._fine = simulation, fine
+    def __init__(self, simulation: Simulation, surface: Surface) -> None:
+        self._simulation, self._surface = simulation, surface
         self._coarse_velocity = np.zeros_like(simulation.state.position)  # padded as positions are
-        self._velocity, self._updated = np.zeros_like(fine.vertices), np.zeros_like(fine.vertices)
+        self._velocity, self._updated = np.zeros_like(surface.vertices), np.zeros_like(surface.vertices)
         self.started = False
 
     def start(self) -> None:
         """Carry on from the fine vertices as they are."""
         self._coarse_velocity[:, :3] = self._simulation.state.velocity
-        self._fine.subdivide_velocity(self._coarse_velocity, self._velocity)
-        np.copyto(self._updated, self._fine.vertices)
+        self._surface.subdivide_velocity(self._coarse_velocity, self._velocity)
+        np.copyto(self._updated, self._surface.vertices)
         self.started = True
 
     def show(self, seconds: float) -> None:
         """Write the fine vertices as they are so long after the last update [s]."""
-        np.multiply(self._velocity, np.float32(seconds), out=self._fine.vertices)
-        self._fine.vertices += self._updated
+        np.multiply(self._velocity, np.float32(seconds), out=self._surface.vertices)
+        self._surface.vertices += self._updated
 
 
 class Fade:

@@ -24,7 +24,7 @@ from pbd.taichi_internals import Launch
 from precompute.learning.run_recording import Run, move_start
 from precompute.learning.truth import Truth
 from runtime.level_of_detail import LevelOfDetail
-from runtime.plain_player import middle_levels, plain_model
+from runtime.plain_cloth import middle_levels, plain_model
 from runtime.plain_surface import PlainSurface
 from runtime.player import Player
 from runtime.simulation import BodySource, Simulation, body_source
@@ -227,7 +227,7 @@ class PlayerTurn:
             self._player.change(detail, fade=False)
         levels = self._player.levels
         self._upsample, self._shade = Upsampler(levels.subdivision), Launch(surface_normals)
-        self._vertices, self._normals = np.zeros((2, *self._player.vertices.shape), np.float32)
+        self._vertices, self._normals = (np.zeros_like(self._player.vertices) for _ in range(2))
         count = levels.subdivision.fine_count
         self._ours, self._smooth = _Keeping(keep, count, folder), _Keeping(keep, count, folder)
         self._frame = 0

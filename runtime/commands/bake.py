@@ -35,7 +35,6 @@ def run(options: argparse.Namespace) -> Report:
     from runtime.garment_setup import scene_of
     from runtime.info import better_choice
     from runtime.outputs import check_file, check_is_no_source
-    from runtime.plain_player import PlainPlayer
     from runtime.playback_inputs import open_database
     from runtime.report import Progress, Report
     from runtime.shown_body import shown_body
@@ -69,7 +68,7 @@ def run(options: argparse.Namespace) -> Report:
             garments=garments,
             texture=texture,
         )
-    if isinstance(player, PlainPlayer):
+    if player.cloth is not None:
         say(f"plays {better_choice(database.quality)} (--wrinkles plays the wrinkles)")
     say(f"{motion.name}: {len(frames)} frames of {frames.shape[1]} vertices baked to {options.output}")
     return Report({"frame_count": len(frames), "fine_vertex_count": frames.shape[1]})

@@ -53,7 +53,7 @@ def export_page(options: argparse.Namespace, find_truth: FindTruth | None = None
     from runtime.info import better_choice
     from runtime.outputs import check_folder
     from runtime.page import check_page_folder, page_text, write_page
-    from runtime.plain_player import plain_choice
+    from runtime.plain_cloth import plain_choice
     from runtime.playback_inputs import open_database
     from runtime.recording import record
     from runtime.report import Progress, Report

@@ -69,7 +69,7 @@ def play_motions(
     from runtime.figures import figure_lines
     from runtime.info import better_choice
     from runtime.outputs import check_folder
-    from runtime.plain_player import plain_choice
+    from runtime.plain_cloth import plain_choice
     from runtime.playback_inputs import open_database
     from runtime.report import Report, numbers_of, process_age
     from runtime.terminal import say

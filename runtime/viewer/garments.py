@@ -13,10 +13,10 @@ from assets.character import Character
 from assets.io.sequence import Sequence
 from assets.motion import Motion
 from pbd import ClothMesh, Fabric, Solver, build_model
+from runtime.fine_garment import FineGarment
 from runtime.level_of_detail import LevelOfDetail
-from runtime.plain_player import PlainPlayer
+from runtime.plain_surface import SUBDIVISIONS, PlainGarment, SmoothGarment
 from runtime.player import Player
-from runtime.scene_player import SUBDIVISIONS, ScenePlayer
 from runtime.shown_body import insets
 from runtime.viewer.colors import CLOTH, FaceBending, FaceStrain, place
 from wrinkles.decoder import Upsampler
@@ -117,22 +117,24 @@ class ViewedGarment:
         meshes: by name, from the coarsest on.
         body, motion, player, texture: the arguments.
         body_faces: of the body that are drawn, int, shape (k, 3); no faces without one.
+        wrinkled: whether its wrinkles are played.
         details: levels of detail that it can be played at, the full one first; none where it has no such levels.
     """
 
     def __init__(
         self,
-        player: Player | PlainPlayer | ScenePlayer,
+        player: Player,
         motion: Motion | None,
         body: Character | Sequence | None,
         texture: np.ndarray | None,
         truth: ShownTruth | None = None,
     ) -> None:
         self.player, self.motion, self.body, self.texture, self._truth = player, motion, body, texture, truth
-        self.details: dict[str, LevelOfDetail] = details_of(player) if isinstance(player, Player) else {}
+        self.wrinkled = isinstance(player.surface, FineGarment)
+        self.details: dict[str, LevelOfDetail] = details_of(player) if self.wrinkled else {}
         self.meshes = self._meshes()
         self._smooth: Upsampler | None = None
-        if isinstance(player, Player):
+        if self.wrinkled:
             self._smooth = Upsampler(player.levels.subdivision)
             self._smooth_vertices = np.zeros_like(player.vertices)
         self._fabric = player.simulation.model.fabric
@@ -143,27 +145,25 @@ class ViewedGarment:
         )
 
     def _meshes(self) -> dict[str, ViewedMesh]:
-        player, simulated = self.player, ViewedMesh(self.player.simulation.model.mesh)
-        if isinstance(player, ScenePlayer):
-            return {COARSE: simulated, SMOOTH: ViewedMesh(player.fine, from_simulated=player.subdivision.matrix)}
-        levels = player.levels
-        subdivision = levels.subdivision if isinstance(player, Player) else player.subdivision
+        simulated, surface = ViewedMesh(self.player.simulation.model.mesh), self.player.surface
+        if isinstance(surface, SmoothGarment):
+            return {COARSE: simulated, SMOOTH: ViewedMesh(surface.fine, from_simulated=surface.subdivision.matrix)}
+        levels = self.player.levels
+        subdivision = surface.subdivision if isinstance(surface, PlainGarment) else levels.subdivision
         matrix = None if subdivision is None else subdivision.matrix
         fine = ViewedMesh(levels.fine, levels.subdivision.faces, matrix)
-        meshes = {PLAIN: fine}
-        if isinstance(player, Player):
-            meshes = {COARSE: simulated, SMOOTH: fine, OURS: fine}
+        meshes = {COARSE: simulated, SMOOTH: fine, OURS: fine} if self.wrinkled else {PLAIN: fine}
         return meshes if self._truth is None else meshes | {TRUTH: fine}
 
     @property
     def worn(self) -> tuple[str, ...]:
         """Names of the garments that are worn; none where none can be taken off."""
-        return self.player.worn if isinstance(self.player, Player) else ()
+        return self.player.worn
 
     @property
     def vertices_of_garments(self) -> dict[str, np.ndarray] | None:
         """Fine vertices of each garment of an outfit by its name; None for anything else."""
-        return garment_vertices(self.player.levels) if isinstance(self.player, Player) else None
+        return garment_vertices(self.player.levels) if self.wrinkled else None
 
     @property
     def main(self) -> str:
@@ -207,7 +207,7 @@ class ViewedGarment:
         if coloring == CLOTH:
             layer = player.simulation.model.layer
             return place(np.round(mesh.at_faces(layer.astype(np.float32)))) if layer.any() else None
-        if coloring == "strain" and name == SMOOTH and isinstance(player, ScenePlayer):
+        if coloring == "strain" and name == SMOOTH and isinstance(player.surface, SmoothGarment):
             simulated = self.meshes[COARSE].strain(self.vertices(COARSE, 0.0))  # of the surface no rest shape is known
             return np.repeat(simulated, 4**SUBDIVISIONS)
         if coloring == "strain":
@@ -218,7 +218,7 @@ class ViewedGarment:
             return None
         if coloring == "contact":
             return 1e3 * mesh.at_faces(player.simulation.state.contact)
-        if not isinstance(player, Player):
+        if not self.wrinkled:
             return None
         if coloring == "novelty":
             return mesh.at_faces(player.predicted_error()) if player.detail.atoms else None
@@ -228,7 +228,7 @@ class ViewedGarment:
     def colors_by(self, coloring: str) -> bool:
         """Whether a key of :data:`runtime.viewer.colors.SCALES` colours any of the meshes."""
         if coloring in ("novelty", "level of detail"):
-            return isinstance(self.player, Player)
+            return self.wrinkled
         return coloring != "contact" or len(self.body_faces) > 0
 
     @property
@@ -242,7 +242,6 @@ class ViewedGarment:
         Args:
             name: a key of :attr:`details`.
         """
-        assert isinstance(self.player, Player)
         self.player.change(self.details[name])
 
     def wear(self, factors: FabricFactors) -> None:

@@ -27,9 +27,10 @@ NO_BODY_SECONDS = 10.0  # of garments without a body, before they start again [s
 
 
 class Replayable(Protocol):
-    """What a viewer plays: a :class:`runtime.player.Player`, plain cloth, or the garments of a scene."""
+    """What a viewer plays: a :class:`runtime.player.Player`."""
 
-    simulation: Simulation
+    @property
+    def simulation(self) -> Simulation: ...
 
     @property
     def timings(self) -> Mapping[str, float]: ...

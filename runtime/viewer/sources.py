@@ -14,11 +14,11 @@ from pbd.wind import Wind
 from runtime.garment_mesh import texture_of
 from runtime.garment_setup import scene_of
 from runtime.info import better_choice
-from runtime.plain_player import plain_choice, player_of
+from runtime.plain_cloth import plain_choice
+from runtime.plain_surface import SmoothGarment
 from runtime.playback_inputs import PlaybackInputs
-from runtime.player import Player
+from runtime.player import Player, player_of
 from runtime.scene_body import body_of
-from runtime.scene_player import ScenePlayer
 from runtime.scene_simulation import simulation_of
 from runtime.shown_body import shown_body
 from runtime.viewer.garments import ShownTruth, ViewedGarment
@@ -133,7 +133,7 @@ class DatabaseSource:
             InputError: no garment, or one that the outfit does not have.
         """
         player, motion = garment.player, garment.motion
-        assert isinstance(player, Player) and motion is not None
+        assert motion is not None
         player.wear(names)
         truth = self.truths.get(motion.name) if player.worn == self.garments else None
         body = shown_body(self.inputs.body, player.levels)
@@ -209,8 +209,10 @@ class SceneSource:
         body = self.body  # as it is before its file changes
         simulation, motion = simulation_of(self.scene)
         pose = None if motion is None else motion.pose(0.0)
-        player = ScenePlayer(simulation, pose, 1.0 / self.frame_rate)
-        return ViewedGarment(player, motion, body, player.subdivision.flat_corners(texture_of(self.scene)))
+        player = Player.of_scene(simulation, pose, self.frame_rate)
+        surface = player.surface
+        assert isinstance(surface, SmoothGarment)
+        return ViewedGarment(player, motion, body, surface.subdivision.flat_corners(texture_of(self.scene)))
 
 
 Source = DatabaseSource | SceneSource

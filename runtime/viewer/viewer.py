@@ -16,7 +16,6 @@ from assets.io.scene import CameraSettings
 from assets.io.view import ViewSettings
 from assets.motion import Motion
 from pbd import InputError
-from runtime.player import Player
 from runtime.viewer.colors import CLOTH
 from runtime.viewer.controls import GRAPH_FRAMES, GRAPHED, Controls
 from runtime.viewer.garments import FabricFactors, ViewedGarment
@@ -167,7 +166,6 @@ class Viewer:
         source = self._source
         assert isinstance(source, DatabaseSource)
         player = self._garment.player
-        assert isinstance(player, Player)
         try:
             self._garment = source.wearing(self._garment, names)
             self.playback.forget(player.start)

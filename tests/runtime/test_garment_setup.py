@@ -18,7 +18,7 @@ from pbd import DistanceField, InputError, Plane
 from pbd.attachment import Attachment
 from runtime.garment_mesh import pattern_of, with_subdivisions
 from runtime.garment_setup import GarmentSetup, colliders_of, fabrics_of, fine_substep_of
-from runtime.plain_player import middle_levels
+from runtime.plain_cloth import middle_levels
 from runtime.player import Player
 from runtime.scene_body import motion_of
 from runtime.scene_simulation import simulation_of

@@ -10,8 +10,9 @@ import pytest
 from pbd import InputError
 from runtime import command
 from runtime.game_loop import GameLoop, LiveInput
-from runtime.plain_player import PlainCloth, PlainPlayer, middle_levels, plain_choice, player_of
-from runtime.player import Player
+from runtime.level_of_detail import LevelOfDetail
+from runtime.plain_cloth import PlainCloth, middle_levels, plain_choice
+from runtime.player import Player, player_of
 from runtime.simulation import body_source, poses_of
 from tests.runtime.players import skirt_database, skirt_stage
 from wrinkles.database import CHOICE, WrinkleDatabase
@@ -58,7 +59,7 @@ def test_the_choice_is_not_that_of_another_fabric() -> None:
 def test_it_starts_as_the_smooth_garment_and_stays_attached(cuts: int, poses: np.ndarray) -> None:
     body, database = skirt_stage().body, judged(cuts)
     player, wrinkled = player_of(database, body, poses[0]), Player(database, body, poses[0])
-    assert isinstance(player, PlainPlayer)
+    assert player.cloth == PlainCloth(cuts, 5)
     assert player.simulation.model.vertex_count == COUNTS[cuts]
     substep = player.simulation.solver.options.substep
     assert substep == pytest.approx(1.0 / (60.0 * 5))
@@ -74,14 +75,14 @@ def test_it_starts_as_the_smooth_garment_and_stays_attached(cuts: int, poses: np
 @pytest.mark.parametrize("cuts", [0, 1])
 def test_its_fine_mesh_comes_to_rest(cuts: int, poses: np.ndarray) -> None:
     body, database = skirt_stage().body, judged(cuts)
-    smooth, rested = (PlainPlayer(database, body, PlainCloth(cuts, 5, passes), poses[0]) for passes in (0, 4))
+    smooth, rested = (Player(database, body, poses[0], cloth=PlainCloth(cuts, 5, passes)) for passes in (0, 4))
     for pose in poses[1:]:
         smooth.update(pose, 1.0 / 60.0)
         rested.update(pose, 1.0 / 60.0)
     assert smooth.simulation.state.hash() == rested.simulation.state.hash()  # what is shown does not act back
     edges, lengths = rested.levels.fine.edge_lengths()
 
-    def stretch(player: PlainPlayer) -> float:
+    def stretch(player: Player) -> float:
         sides = player.vertices[edges[:, 0]] - player.vertices[edges[:, 1]]
         return float(np.abs(np.linalg.norm(sides, axis=1) / lengths - 1.0).mean())
 
@@ -94,7 +95,7 @@ def test_its_fine_mesh_comes_to_rest(cuts: int, poses: np.ndarray) -> None:
 
 def test_a_kept_moment_comes_back_with_its_rest(poses: np.ndarray) -> None:
     cloth, body = PlainCloth(1, 4, 1), skirt_stage().body
-    player, other = (PlainPlayer(TWICE, body, cloth, poses[0]) for _ in range(2))
+    player, other = (Player(TWICE, body, poses[0], cloth=cloth) for _ in range(2))
     for pose in poses[1:4]:
         player.update(pose, 1.0 / 60.0)
         other.update(pose, 1.0 / 60.0)
@@ -109,7 +110,7 @@ def test_a_kept_moment_comes_back_with_its_rest(poses: np.ndarray) -> None:
 
 
 def test_the_wrinkles_are_played_where_they_are_asked_for(poses: np.ndarray) -> None:
-    assert isinstance(player_of(judged(1), skirt_stage().body, poses[0], wrinkles=True), Player)
+    assert player_of(judged(1), skirt_stage().body, poses[0], wrinkles=True).cloth is None
 
 
 def test_warming_up_leaves_no_trace(poses: np.ndarray) -> None:
@@ -137,8 +138,8 @@ def test_bad_input_is_refused(poses: np.ndarray) -> None:
     wrong = (3, 5), (-1, 5), (1, 0), (1, 5, -1), (2, 5, 1)
     for cloth in (PlainCloth(*values) for values in wrong):
         with pytest.raises(InputError, match="plain cloth"):
-            PlainPlayer(TWICE, body, cloth, poses[0])
-    player = PlainPlayer(TWICE, body, PlainCloth(1, 4), poses[0])
+            Player(TWICE, body, poses[0], cloth=cloth)
+    player = Player(TWICE, body, poses[0], cloth=PlainCloth(1, 4))
     state = player.simulation.state.hash()
     for pose, dt, match in ((poses[0][1:], 0.01, "pose"), (poses[0], -1.0, "time"), (poses[0] * np.nan, 0.01, "pose")):
         with pytest.raises(InputError, match=match):
@@ -148,8 +149,27 @@ def test_bad_input_is_refused(poses: np.ndarray) -> None:
     assert player.simulation.state.hash() == state
 
 
+def test_it_leaves_ticks_and_passes_out(poses: np.ndarray) -> None:
+    cloth, body = PlainCloth(1, 4, 2), skirt_stage().body
+    player, full = (Player(TWICE, body, poses[0], cloth=cloth) for _ in range(2))
+    assert player.detail == player.full == LevelOfDetail(1, 4, 0, 2)
+    for one in (player, full):
+        one.update(poses[1], 1.0 / 60.0)
+    shown = player.vertices.copy()
+    player.change(LevelOfDetail(2, 8, 0, 0))
+    np.testing.assert_array_equal(player.vertices, shown)  # nothing pops
+    for number in range(2, 6):
+        before = player.simulation.state.hash()
+        player.update(poses[number], 1.0 / 60.0)
+        full.update(poses[number], 1.0 / 60.0)
+        assert (player.simulation.state.hash() == before) == (number % 2 == 1)
+        assert np.abs(player.vertices - full.vertices).max() < 0.02
+    with pytest.raises(InputError, match="no such mesh"):
+        player.change(LevelOfDetail(1, 4, 0, 0, level=1))
+
+
 def test_a_coarse_vertex_is_dragged_by_its_number(poses: np.ndarray) -> None:
-    player = PlainPlayer(TWICE, skirt_stage().body, PlainCloth(1, 4), poses[0])
+    player = Player(TWICE, skirt_stage().body, poses[0], cloth=PlainCloth(1, 4))
     vertex = int(np.setdiff1d(np.arange(COUNTS[0]), TWICE.held)[-1])
     target = player.simulation.state.world()[vertex] + [0.0, 0.03, 0.0]
     player.drag(vertex, target)

@@ -8,7 +8,7 @@ import pytest
 from assets.motion import ClipMotion
 from assets.procedural.mannequin import builtin_mannequin
 from precompute.learning.pipeline import precompute
-from runtime.plain_player import PlainCloth, PlainPlayer
+from runtime.plain_cloth import PlainCloth
 from runtime.player import Player
 from tests.precompute.miniature import OPTIONS, SCENE, scene
 from tests.runtime.players import TROUSERS
@@ -43,7 +43,7 @@ def test_the_player_moves_all_garments_in_layers(database: WrinkleDatabase) -> N
     body = builtin_mannequin()
     motion = ClipMotion(body, "walk")
     wrinkled = Player(database, body, motion.pose(0.0))
-    plain = PlainPlayer(database, body, PlainCloth(0, 4, 1), motion.pose(0.0))
+    plain = Player(database, body, motion.pose(0.0), cloth=PlainCloth(0, 4, 1))
     for player in (wrinkled, plain):
         assert player.simulation.model.layer.max() == 1
         for frame in range(1, 13):

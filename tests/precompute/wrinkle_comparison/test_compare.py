@@ -33,7 +33,8 @@ from precompute.wrinkle_comparison.comparison_page import verdict, write_compari
 from precompute.wrinkle_comparison.realism import FEWEST_FRAMES
 from runtime import command
 from runtime.info import better_choice, info_text
-from runtime.plain_player import PlainCloth, PlainPlayer, middle_levels
+from runtime.plain_cloth import PlainCloth, middle_levels
+from runtime.player import Player
 from runtime.simulation import Simulation, body_source, poses_of
 from tests.runtime.players import SCENE, skirt_database, skirt_stage, tube
 from tests.wrinkles.databases import placed
@@ -223,7 +224,7 @@ def test_what_is_played_is_what_was_compared(cuts: int, passes: int, database: W
     run, keep = truth.run, np.array([2, 4, 8])
     cloth = list(plain_cloths(database, run).values())[cuts].with_substeps(6)
     compared = replace(cloth, passes=passes).play(keep, 8).frames
-    player = PlainPlayer(database, run.body, PlainCloth(cuts, 6, passes), run.poses[0], run.primitives)
+    player = Player(database, run.body, run.poses[0], run.primitives, cloth=PlainCloth(cuts, 6, passes))
     for number in range(1, 9):
         player.update(run.poses[number], run.dt, run.wind)
         if number in keep:
