@@ -30,7 +30,7 @@ _WAIST_HEIGHT = (
 _WAIST_BELOW_ARMPIT = 0.05  # of the stature, at least, where a waist is given by hand [-]
 
 
-def measure(body: NamedSurface, given: Mapping[str, float] | None = None) -> BodyMeasures:
+def measure(body: NamedSurface, by_hand: Mapping[str, float] | None = None) -> BodyMeasures:
     """Measure a body that stands upright with its arms away from its trunk.
 
     A measure that the body does not show, or that no body of its height has, is not a number, and ``doubts`` says why;
@@ -40,34 +40,34 @@ def measure(body: NamedSurface, given: Mapping[str, float] | None = None) -> Bod
 
     Args:
         body: anywhere, turned about the vertical in any way.
-        given: measures that were taken by hand, which count instead of those of the surface [m]. A waist of given girth
-            lies where the body shows one, else at a usual height; with ``waist_to_floor`` it lies there.
+        by_hand: measures that were taken by hand, which count instead of those of the surface [m]. A waist of such a
+            girth lies where the body shows one, else at a usual height; with ``waist_to_floor`` it lies there.
 
     Raises:
         InputError: the surface is no figure with two arms and two legs that are apart, or a given measure is unknown or
             of no body.
     """
-    given = dict(given or {})
-    unknown = sorted(set(given) - set(MEASURES))
+    by_hand = dict(by_hand or {})
+    unknown = sorted(set(by_hand) - set(MEASURES))
     if unknown:
         raise InputError("no such measure", received=unknown[0], expected="one of " + ", ".join(MEASURES))
     figure = BodySegments(body)
-    for name, value in given.items():
+    for name, value in by_hand.items():
         check_given(name, value, figure.height)
     doubts: dict[str, str] = {}
-    values, places = _trunk(figure, given)
+    values, places = _trunk(figure, by_hand)
     for part, names in ((_neck_and_shoulder, _NECK), (_arm, _ARM), (_leg, _LEG)):
-        found = _taken(figure, part, given, doubts, names)
+        found = _taken(figure, part, by_hand, doubts, names)
         values |= found.values
         places |= found.places
     landmarks = Landmarks(floor=figure.floor, crotch=figure.crotch, armpit=figure.armpit, **places)
-    values |= _taken(figure, partial(_trunk_lengths, places=landmarks), given, doubts, _TRUNK_LENGTHS).values
+    values |= _taken(figure, partial(_trunk_lengths, places=landmarks), by_hand, doubts, _TRUNK_LENGTHS).values
     waist, hip, crotch = landmarks.waist[1], landmarks.hip[1], figure.crotch[1]
     values |= {"height": figure.height, "inseam": crotch - figure.floor}
     values |= {"waist_to_floor": waist - figure.floor, "rise": waist - crotch, "waist_to_hip": waist - hip}
-    values = {name: float(value) for name, value in values.items()} | given
+    values = {name: float(value) for name, value in values.items()} | by_hand
     doubts |= {name: _NO_WAIST for name, value in values.items() if np.isnan(value) and name not in doubts}
-    impossible = doubtful({name: value for name, value in values.items() if not np.isnan(value)}, set(given))
+    impossible = doubtful({name: value for name, value in values.items() if not np.isnan(value)}, set(by_hand))
     for name, reason in impossible.items():
         place = getattr(landmarks, name, None)
         doubts[name] = reason if place is None else f"{place[1] - figure.floor:.2f} m above the floor, {reason}"
@@ -103,7 +103,7 @@ _TRUNK_LENGTHS: _Names = (("back_length", "back_waist_length", "front_waist_leng
 def _taken(
     figure: BodySegments,
     part: Callable[[BodySegments], _Part],
-    given: Mapping[str, float],
+    by_hand: Mapping[str, float],
     doubts: dict[str, str],
     names: _Names,
 ) -> _Part:
@@ -112,7 +112,7 @@ def _taken(
     Args:
         figure: to measure.
         part: takes the measures.
-        given: measures by hand.
+        by_hand: measures by hand.
         doubts: reasons by measure; the missing ones are added.
         names: of the part's measures and of its places.
 
@@ -122,14 +122,14 @@ def _taken(
     try:
         return part(figure)
     except Missing as missing:
-        by_hand = sorted(set(given) & set(names[0]))
-        if by_hand:
-            raise figure.problem(f"{by_hand[0].replace('_', ' ')} by hand has no place: {missing}") from None
+        lost = sorted(set(by_hand) & set(names[0]))
+        if lost:
+            raise figure.problem(f"{lost[0].replace('_', ' ')} by hand has no place: {missing}") from None
         doubts |= {name: str(missing) for name in names[0]}
         return _Part(dict.fromkeys(names[0], np.nan), {name: np.full(3, np.nan) for name in names[1]})
 
 
-def _trunk(figure: BodySegments, given: Mapping[str, float]) -> _Part:
+def _trunk(figure: BodySegments, by_hand: Mapping[str, float]) -> _Part:
     """Girths of the trunk; a waist that does not show lies where measures by hand want it.
 
     Raises:
@@ -145,8 +145,8 @@ def _trunk(figure: BodySegments, given: Mapping[str, float]) -> _Part:
     waist = hip + int(girths[hip:].argmin())
     around = [girths[hip : waist + 1].max(), girths[waist:].max()]  # below the waist, and above it
     has_waist = girths[waist] < _WAIST_LESS * min(around)
-    if "waist_to_floor" in given or "waist" in given and not has_waist:
-        above_floor = given.get("waist_to_floor", _WAIST_HEIGHT * figure.height)
+    if "waist_to_floor" in by_hand or "waist" in by_hand and not has_waist:
+        above_floor = by_hand.get("waist_to_floor", _WAIST_HEIGHT * figure.height)
         least, most = heights[hip] - figure.floor, high - figure.floor - _WAIST_BELOW_ARMPIT * figure.height
         if not least < above_floor < most:
             expected = f"{least:.3f} to {most:.3f} m, between hips and armpits"

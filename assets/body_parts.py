@@ -43,12 +43,12 @@ def find_parts(names: Sequence[str]) -> dict[str, int]:
         names: of all joints, parents first.
     """
     found: dict[str, int] = {}
-    said = [_side_and_word(name) for name in names]
+    sides_and_words = [_side_and_word(name) for name in names]
     for part, words in _NAMES.items():
-        used = [word for word in words if ("left", word) in said or ("right", word) in said]
+        used = [word for word in words if ("left", word) in sides_and_words or ("right", word) in sides_and_words]
         for side in ("left", "right"):
-            if used and (side, used[0]) in said:
-                found[f"{side} {part}"] = said.index((side, used[0]))
+            if used and (side, used[0]) in sides_and_words:
+                found[f"{side} {part}"] = sides_and_words.index((side, used[0]))
     return found
 
 

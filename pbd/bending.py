@@ -175,8 +175,8 @@ def _border_stiffness(bends: np.ndarray) -> np.ndarray:
     """
     energy = np.einsum("fha,fhb->fab", bends, bends)
     others = energy[:, 1:, 1:] + NEIGHBOUR_STIFFNESS * np.eye(2)
-    given = np.linalg.solve(others, energy[:, 1:, :1])
-    return energy[:, 0, 0] - (energy[:, :1, 1:] @ given)[:, 0, 0]
+    coupling = np.linalg.solve(others, energy[:, 1:, :1])
+    return energy[:, 0, 0] - (energy[:, :1, 1:] @ coupling)[:, 0, 0]
 
 
 def layer_stiffness(mesh: ClothMesh) -> np.ndarray:

@@ -207,19 +207,21 @@ def fastened(model: Model, vertices: np.ndarray) -> Model:
     """
     mesh, stitches, weights, gaps = model.mesh, [], [], []
     for number in range(1, int(model.layer.max()) + 1):
-        mine = vertices[model.layer[vertices] == number]
+        own_vertices = vertices[model.layer[vertices] == number]
         below = mesh.faces[model.layer[mesh.faces[:, 0]] < number]
-        if not len(mine):
+        if not len(own_vertices):
             continue
-        face, weight = closest_points(mesh.vertices[mine], mesh.vertices, below)
+        face, weight = closest_points(mesh.vertices[own_vertices], mesh.vertices, below)
         far = np.argsort(weight, axis=1)[:, 0]  # the corner opposite to the nearest edge
         ends = np.stack([below[face, (far + 1) % 3], below[face, (far + 2) % 3]], axis=1)
         start, along = mesh.vertices[ends[:, 0]], mesh.vertices[ends[:, 1]] - mesh.vertices[ends[:, 0]]
-        place = ((mesh.vertices[mine] - start) * along).sum(axis=1) / np.maximum((along * along).sum(axis=1), 1e-30)
+        place = ((mesh.vertices[own_vertices] - start) * along).sum(axis=1) / np.maximum(
+            (along * along).sum(axis=1), 1e-30
+        )
         place = np.clip(place, 0.0, 1.0)
-        gap = np.linalg.norm(mesh.vertices[mine] - start - place[:, None] * along, axis=1)
+        gap = np.linalg.norm(mesh.vertices[own_vertices] - start - place[:, None] * along, axis=1)
         near = gap < FASTENING_REACH
-        stitches.append(np.concatenate([mine[:, None], ends], axis=1)[near])
+        stitches.append(np.concatenate([own_vertices[:, None], ends], axis=1)[near])
         weights.append(place[near])
         gaps.append(gap[near])
     return replace(

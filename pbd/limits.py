@@ -77,9 +77,9 @@ class Limits:
         Args:
             vertices: ascending, int, shape (k,).
         """
-        mine = np.isin(self.vertices, vertices)
-        own = np.searchsorted(vertices, self.vertices[mine])
-        return Limits(own, self.maximum_distance[mine], self.backstop[mine], self.stiffness[mine])
+        kept = np.isin(self.vertices, vertices)
+        own = np.searchsorted(vertices, self.vertices[kept])
+        return Limits(own, self.maximum_distance[kept], self.backstop[kept], self.stiffness[kept])
 
     def taken(self, stand_in: np.ndarray) -> Limits:
         """Limits of other vertices, each those of the vertex that stands for it, int, shape (k,)."""

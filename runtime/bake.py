@@ -278,17 +278,17 @@ def _garment_tracks(
         vertices = integers(vertices, key, ("k",), whole.frames.shape[1], outside=outside)
         own_number = np.full(whole.frames.shape[1], -1, np.int32)
         own_number[vertices] = np.arange(len(vertices))
-        mine = own_number[whole.faces]
-        own = (mine >= 0).all(axis=1)
+        own_faces = own_number[whole.faces]
+        own = (own_faces >= 0).all(axis=1)
         tracks.append(
             replace(
                 whole,
                 name=name if name != "body" else "body_garment",
-                faces=mine[own],
+                faces=own_faces[own],
                 frames=whole.frames[:, vertices],
                 normals=whole.normals[:, vertices],
                 color=_GARMENT_COLORS[number % len(_GARMENT_COLORS)],
-                texture=None if whole.texture is None else _checked_texture(whole.texture[own], mine[own]),
+                texture=None if whole.texture is None else _checked_texture(whole.texture[own], own_faces[own]),
             )
         )
     return tracks

@@ -52,9 +52,9 @@ def _members(database: WrinkleDatabase, names: set[str]) -> tuple[np.ndarray, np
     if database.layers is None:
         coarse, fine = np.arange(len(database.coarse_vertices)), np.arange(database.fine_vertex_count)
         return (coarse, fine) if database.garment_name in names else (coarse[:0], fine[:0])
-    worn = [number for number, name in enumerate(database.layers.names) if name in names]
+    numbers = [number for number, name in enumerate(database.layers.names) if name in names]
     fine = database.layers.subdivided(database.subdivision).layer
-    return np.flatnonzero(np.isin(database.layers.layer, worn)), np.flatnonzero(np.isin(fine, worn))
+    return np.flatnonzero(np.isin(database.layers.layer, numbers)), np.flatnonzero(np.isin(fine, numbers))
 
 
 def take_over(before: Simulation, now: Simulation, stay: Stay) -> None:

@@ -44,7 +44,7 @@ FIGURES = {
         "worse than smooth", "%", "patch-frames with a larger normal error than smooth's"
     ),
     "unfamiliarity_spearman": Label(
-        "novelty against error", "-", "rank correlation of unfamiliarity with the error: 1 the same order"
+        "novelty against error", "-", "rank correlation of novelty with the error: 1 the same order"
     ),
     "faded_percent": Label("faded", "%", "patch-frames whose wrinkles are weakened because they are unfamiliar"),
     "bending_energy_ratio": Label("bending energy", "-", "running freely: bending energy over the truth's, 1 is right"),

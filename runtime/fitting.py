@@ -102,9 +102,9 @@ def _carried(points: np.ndarray, weights: np.ndarray, made_for: Character, body:
     if twice:
         expected = "a name of its own for each joint that carries the garment"
         raise InputError("joints of one name", key="made_for", received=twice[:5], expected=expected)
-    mine = [place[name] for name in names]
+    own_joints = [place[name] for name in names]
     # From the old joint's bind pose to the new one's, each with the joint's place in the world.
-    old, new = np.linalg.inv(made_for.inverse_bind[used]), np.linalg.inv(body.inverse_bind[mine])
+    old, new = np.linalg.inv(made_for.inverse_bind[used]), np.linalg.inv(body.inverse_bind[own_joints])
     away = [np.linalg.norm(places[:, None, :3, 3] - places[None, :, :3, 3], axis=2) for places in (old, new)]
     apart = away[0] > SAME_PLACE
     size = float(np.median(away[1][apart] / away[0][apart])) if apart.any() else 1.0

@@ -91,9 +91,9 @@ class GarmentGroup:
         Raises:
             InputError: another number of poses or views than of garments, or as :meth:`runtime.player.Player.step`.
         """
-        for key, given in (("poses", poses), ("views", views)):
-            if len(given) != len(self.players):
-                raise InputError("one a garment", key=key, received=len(given), expected=str(len(self.players)))
+        for key, values in (("poses", poses), ("views", views)):
+            if len(values) != len(self.players):
+                raise InputError("one a garment", key=key, received=len(values), expected=str(len(self.players)))
         began = self._clock()
         planner = self.planner
         foretold = self._foretold()

@@ -226,8 +226,8 @@ class GarmentSetup:
         if len(pieces) > 1:
             scene, piece, layers = _outfit(scene, pieces)
         shape = {"binding": piece.binding, "limits": piece.limits, "sewn": sewn_rest(piece.garment), "layers": layers}
-        given = piece.garment.faces, piece.held, vertices, body.faces, scene.garments[0].subdivision_count
-        levels, openings = build_levels(piece.garment.vertices, *given, **shape), ()
+        arguments = piece.garment.faces, piece.held, vertices, body.faces, scene.garments[0].subdivision_count
+        levels, openings = build_levels(piece.garment.vertices, *arguments, **shape), ()
         if layers is not None:
             check_order(levels.coarse.vertices, levels.coarse.faces, layers)
             check_fastened(levels.coarse.vertices, levels.coarse.faces, layers)
@@ -240,7 +240,7 @@ class GarmentSetup:
                 *solvers,
                 vertices,
                 body.faces,
-                lambda x: levels_of(x, *given, **shape),
+                lambda x: levels_of(x, *arguments, **shape),
             )
         levels = replace(levels, pattern=piece.garment.pattern)
         return cls(scene, scene.garments[0], piece.garment, body, levels, openings)

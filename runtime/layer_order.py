@@ -102,12 +102,12 @@ def check_fastened(vertices: np.ndarray, faces: np.ndarray, layers: Layers) -> N
         InputError: see above.
     """
     for number in np.unique(layers.layer[layers.fastened]).tolist():
-        mine = layers.fastened[layers.layer[layers.fastened] == number]
+        fastened = layers.fastened[layers.layer[layers.fastened] == number]
         below = faces[layers.layer[faces[:, 0]] < number]
-        face, weights = closest_points(vertices[mine], vertices, below)
-        distance = np.linalg.norm(np.einsum("pc,pci->pi", weights, vertices[below[face]]) - vertices[mine], axis=1)
+        face, weights = closest_points(vertices[fastened], vertices, below)
+        distance = np.linalg.norm(np.einsum("pc,pci->pi", weights, vertices[below[face]]) - vertices[fastened], axis=1)
         if distance.max() >= FASTENING_REACH:
-            x, y, z = vertices[mine[np.argmax(distance)]]
+            x, y, z = vertices[fastened[np.argmax(distance)]]
             received = f"{1e3 * distance.max():.0f} mm from the nearest one at ({x:.2f}, {y:.2f}, {z:.2f})"
             expected = (
                 f"vertices of {layers.names[number]!r} less than {1e3 * FASTENING_REACH:.0f} mm from a garment below"
@@ -119,12 +119,12 @@ def check_fastened(vertices: np.ndarray, faces: np.ndarray, layers: Layers) -> N
 
 def _depths(vertices: np.ndarray, over: np.ndarray, under: np.ndarray) -> _Depths:
     """How the garment with faces ``over`` lies over the one with faces ``under``, int, shapes (k, 3), (m, 3)."""
-    mine = np.unique(over)
-    face, weights = closest_points(vertices[mine], vertices, under)
+    own_vertices = np.unique(over)
+    face, weights = closest_points(vertices[own_vertices], vertices, under)
     corners = under[face]
     surface = np.einsum("pc,pci->pi", weights, vertices[corners])
     normals = np.einsum("pc,pci->pi", weights, smooth_normals(vertices, under)[corners])
-    offset = vertices[mine] - surface
+    offset = vertices[own_vertices] - surface
     height = np.einsum("pi,pi->p", offset, normals) / np.maximum(np.linalg.norm(normals, axis=1), 1e-30)
     distance = np.linalg.norm(offset, axis=1)
     near = (distance < NEAR) & (np.abs(height) > ASIDE * distance)
@@ -132,4 +132,4 @@ def _depths(vertices: np.ndarray, over: np.ndarray, under: np.ndarray) -> _Depth
     if not inside.any():
         return _Depths(0.0, 0.0, np.zeros(3))
     deepest = int(np.argmin(np.where(inside, height, np.inf)))
-    return _Depths(inside.sum() / near.sum(), -float(height[deepest]), vertices[mine[deepest]])
+    return _Depths(inside.sum() / near.sum(), -float(height[deepest]), vertices[own_vertices[deepest]])

@@ -54,12 +54,12 @@ class Drawn:
             return [cls(vertices, faces, pattern=pattern)]
         drawn = []
         for number in range(int(layer.max()) + 1):
-            mine, own = layer[faces[:, 0]] == number, np.flatnonzero(layer == number)
+            own_faces, own = layer[faces[:, 0]] == number, np.flatnonzero(layer == number)
             own_number = np.zeros(len(layer), np.int64)
             own_number[own] = np.arange(len(own))
-            flat = None if pattern is None else pattern[mine]
+            flat = None if pattern is None else pattern[own_faces]
             color = GARMENT_COLORS[number % len(GARMENT_COLORS)]
-            drawn.append(cls(vertices[own], own_number[faces[mine]], color, flat))
+            drawn.append(cls(vertices[own], own_number[faces[own_faces]], color, flat))
         return drawn
 
 

@@ -144,7 +144,7 @@ class Planner:
         """
         if len(views) != len(self.cost_tables):
             raise InputError(
-                "bad plan", key="sights", received=len(views), expected=f"{len(self.cost_tables)}, one a garment"
+                "bad plan", key="views", received=len(views), expected=f"{len(self.cost_tables)}, one a garment"
             )
         self._since += elapsed
         budget = self.budget_ms / self.load

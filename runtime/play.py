@@ -170,8 +170,8 @@ def loop_figures(
     script = ScriptedInput(player.simulation, motion, seconds)
 
     def live(t: float) -> LiveInput:
-        said = script(t)
-        return said._replace(wind=replace(inputs.wind, gust=said.wind))
+        scripted = script(t)
+        return scripted._replace(wind=replace(inputs.wind, gust=scripted.wind))
 
     return GameLoop(player, live, rate_hz, 1.0 / database.frame_rate).run(seconds)
 

@@ -44,12 +44,12 @@ def simulation_of(
     """
     scene = with_subdivisions(scene)
     if scene.character is not None:
-        stage = GarmentSetup.of(scene)
+        setup = GarmentSetup.of(scene)
         if report is not None:
-            for opening in stage.openings:
+            for opening in setup.openings:
                 report(str(opening))
-        scene, settings, levels, motion = stage.scene, stage.settings, stage.levels, stage.motion()
-        source, pose = body_source(stage.body), motion.pose(0.0)
+        scene, settings, levels, motion = setup.scene, setup.settings, setup.levels, setup.motion()
+        source, pose = body_source(setup.body), motion.pose(0.0)
     else:
         settings, garment = garment_of(scene)
         if settings.attach not in ("bands", "none") or settings.attach_vertices:

@@ -315,6 +315,28 @@ def test_no_public_class_has_the_name_of_another() -> None:
     assert public_classes("class A: pass\nclass _B: pass\ndef f():\n    class C: pass") == ["A"]
 
 
+SAY_NOTHING = {"told", "said", "mine", "given", "gathers", "unfamiliarity", "sights", "fronts"}
+
+
+def names_that_say_nothing(source: str) -> set[str]:
+    """Names of variables, arguments, attributes, functions and classes that do not say what they hold."""
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        for field in ("id", "arg", "attr", "name"):
+            name = getattr(node, field, None)
+            if isinstance(name, str) and name.lstrip("_") in SAY_NOTHING:
+                found.add(name)
+    return found
+
+
+def test_names_say_what_they_hold() -> None:
+    floors = tuple(f"{floor}/" for floor in PLAYING)
+    found = {name: names_that_say_nothing(source) for name, source in SOURCES.items() if name.startswith(floors)}
+    assert {name: some for name, some in found.items() if some} == {}
+    code = "def given(mine): _said = a.told; b(unfamiliarity=1, stage=worn)\nclass _Sights: fronts: int\n'gathers'"
+    assert names_that_say_nothing(code) == {"given", "mine", "_said", "told", "unfamiliarity", "fronts"}
+
+
 def with_many_defaults(source: str) -> list[str]:
     """Public functions that two or more arguments can be left out of by their places."""
     functions = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)]

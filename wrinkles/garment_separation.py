@@ -89,9 +89,9 @@ class GarmentSeparation:
         below = Body(faces[fine[faces[:, 0]] < number], len(fine))
         self._faces, self._normals = below.faces, below.normals
         self._rings = below.ring_start, below.ring, below.fan_start, below.fan
-        mine = np.setdiff1d(np.flatnonzero(fine == number), held)
+        own_vertices = np.setdiff1d(np.flatnonzero(fine == number), held)
         # Vertices that lie near one another look at the same place.
-        self._moved = mine[np.lexsort((leading[mine, 1], leading[mine, 0]))].astype(np.int32)
+        self._moved = own_vertices[np.lexsort((leading[own_vertices, 1], leading[own_vertices, 0]))].astype(np.int32)
         self._around = np.ascontiguousarray(leading[self._moved], np.int32)
         self._below, self._outer = np.flatnonzero(layers.layer < number), np.flatnonzero(layers.layer == number)
         self._seeds = np.full(len(layers.layer), -1, np.int32)

@@ -281,10 +281,12 @@ def build_garments(
     if layers is None:
         return build_model(mesh, fabric, held, options=options, bend_factor=bend_factor, limits=limits)
     models, numbers = [], []
-    for (part, vertices), worn in zip(parts_of(mesh, layers.layer), (fabric, *layers.fabrics), strict=True):
-        mine = np.searchsorted(vertices, held[layers.layer[held] == len(models)])
+    for (part, vertices), part_fabric in zip(parts_of(mesh, layers.layer), (fabric, *layers.fabrics), strict=True):
+        part_held = np.searchsorted(vertices, held[layers.layer[held] == len(models)])
         models.append(
-            build_model(part, worn, mine, options=options, bend_factor=bend_factor, limits=limits.part(vertices))
+            build_model(
+                part, part_fabric, part_held, options=options, bend_factor=bend_factor, limits=limits.part(vertices)
+            )
         )
         numbers.append(vertices)
     return fastened(replace(layered(models, numbers), mesh=mesh), layers.fastened)

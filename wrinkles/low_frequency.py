@@ -64,12 +64,12 @@ class LowFrequency:
 
         bias, spread = found(numbers, self._alike)
         variance = np.zeros(2)
-        for some, told in (
+        for some, figures_of in (
             (numbers, lambda few: found(few, self._alike)),
             (self._alike, lambda few: found(numbers, few)),
         ):
             if len(some) > 2:
-                left = np.array([told([one for one in some if one != out]) for out in some])
+                left = np.array([figures_of([one for one in some if one != out]) for out in some])
                 variance += (len(some) - 1) / len(some) * ((left - left.mean(axis=0)) ** 2).sum(axis=0)
         return LowFrequencyFigures(float(bias), float(spread), *np.sqrt(variance).tolist())
 
@@ -95,12 +95,12 @@ class LowFrequency:
         distance between both means is therefore estimated without error from chance.
         """
         true = _pairs(self._between, alike)
-        mine = _pairs(within, ours) if len(ours) > 1 else np.nan
-        off = across[np.ix_(ours, alike)].mean() - 0.5 * true - 0.5 * (true if np.isnan(mine) else mine)
+        among_ours = _pairs(within, ours) if len(ours) > 1 else np.nan
+        off = across[np.ix_(ours, alike)].mean() - 0.5 * true - 0.5 * (true if np.isnan(among_ours) else among_ours)
         scale = 0.5 * true
         if self._finer not in alike:
             scale = max(scale, self._between[self._finer, alike].mean() - true)
-        return np.sqrt([max(off, 0.0) / scale, mine / true])
+        return np.sqrt([max(off, 0.0) / scale, among_ours / true])
 
 
 def _distances(some: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> np.ndarray:

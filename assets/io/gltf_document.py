@@ -138,13 +138,13 @@ class Document:
         entry, key = self.entry("nodes", node, f"node {node}"), f"node {self.node_name(node)}"
         values = {}
         for name, width in {"matrix": 16, "translation": 3, "rotation": 4, "scale": 3}.items():
-            given = entry.get(name)
-            if given is None:
+            raw = entry.get(name)
+            if raw is None:
                 continue
-            numbers = [float(x) for x in given if isinstance(x, (int, float))] if isinstance(given, list) else []
+            numbers = [float(x) for x in raw if isinstance(x, (int, float))] if isinstance(raw, list) else []
             values[name] = np.array(numbers)
             if len(numbers) != width or not np.isfinite(values[name]).all():
-                raise self.error(f"bad {name}", key=key, received=given, expected=f"{width} numbers")
+                raise self.error(f"bad {name}", key=key, received=raw, expected=f"{width} numbers")
         if "matrix" in values:
             return values["matrix"].reshape(4, 4).T
         rotation = values.get("rotation", np.array([0.0, 0.0, 0.0, 1.0]))

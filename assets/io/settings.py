@@ -298,14 +298,14 @@ def table(kind: type, *, one_of: Sequence[str] = ()) -> AllowedValues:
     def convert(reader: Reader, value: Any, key: str) -> Any:
         if not isinstance(value, dict):
             raise Refused
-        given = [name for name in one_of if name in value]
-        if one_of and len(given) != 1:
+        present = [name for name in one_of if name in value]
+        if one_of and len(present) != 1:
             reader.errors.append(
                 InputError(
-                    "missing key" if not given else "keys that exclude each other",
+                    "missing key" if not present else "keys that exclude each other",
                     file=reader.file,
                     key=key,
-                    received=given or None,
+                    received=present or None,
                     expected="exactly one of " + ", ".join(map(repr, one_of)),
                 )
             )

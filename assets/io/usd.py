@@ -23,7 +23,7 @@ from assets.text import read_text
 from pbd.errors import InputError
 
 __all__ = [
-    "check_unit_said",
+    "require_unit",
     "has_skeleton",
     "matrix",
     "mesh_faces",
@@ -69,13 +69,15 @@ def open_stage(path: Path, guarded: bool = True) -> Iterator[Any]:
         stage: Any = Usd.Stage.Open(_layer(path))
         broken = stage.GetCompositionErrors()
         if broken:
-            raise InputError(f"a reference that cannot be opened: {_said(broken[0])}", file=path)
+            raise InputError(f"a reference that cannot be opened: {_error_line(broken[0])}", file=path)
         rate = stage.GetTimeCodesPerSecond()
         if not 0.0 < rate < np.inf:
             raise InputError("bad rate", file=path, key="timeCodesPerSecond", received=rate, expected="more than 0")
         yield stage
     except (Tf.ErrorException, RuntimeError, UnicodeDecodeError) as error:
-        raise InputError(f"no USD, truncated or damaged: {_said(error)}", file=path, expected="a USD file") from error
+        raise InputError(
+            f"no USD, truncated or damaged: {_error_line(error)}", file=path, expected="a USD file"
+        ) from error
 
 
 def _layer(path: Path) -> Any:
@@ -96,7 +98,7 @@ def _layer(path: Path) -> Any:
     return layer
 
 
-def _said(error: Any) -> str:
+def _error_line(error: Any) -> str:
     """One line of what USD says about an error."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     text = lines[-1] if lines else type(error).__name__
@@ -139,7 +141,7 @@ def to_metres(stage: Any, path: Path) -> Floats:
     return turned @ np.diag([unit, unit, unit, 1.0])
 
 
-def check_unit_said(stage: Any, vertices: NDArray[Any], path: Path) -> None:
+def require_unit(stage: Any, vertices: NDArray[Any], path: Path) -> None:
     """Refuse a body of a stage that does not say its unit, unless it has a body's height in USD's own, the centimetre.
 
     Args:
@@ -370,5 +372,5 @@ def point_cache_of(stage: Any, path: Path) -> tuple[NDArray[np.float32], NDArray
             )
         world = place @ matrix(UsdGeom.XformCache(time).GetLocalToWorldTransform(prim), path, key)
         frames[frame] = points @ world[:3, :3].T + world[:3, 3]
-    check_unit_said(stage, frames[0], path)
+    require_unit(stage, frames[0], path)
     return frames, *mesh_faces(mesh, first, path, np.linalg.det(world[:3, :3]) < 0.0), 1.0 / rate

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from assets.character import Animation, Character, Clip
 from assets.io.skin import MAX_SAMPLES, best_influences, merge_pieces
 from assets.io.usd import (
-    check_unit_said,
     matrix,
     mesh_faces,
     numbers,
     open_stage,
     point_cache_of,
     prims,
+    require_unit,
     sample_times,
     to_metres,
     transform_times,
@@ -61,7 +61,7 @@ def character_of(stage: Any, path: Path, name: str) -> Character:
     weights = _still_weights(query.GetAnimQuery(), path)
     pieces = [_piece(target, joints, root, weights, path) for target in targets]
     vertices, faces, influences, texture = merge_pieces(pieces)
-    check_unit_said(stage, vertices, path)
+    require_unit(stage, vertices, path)
     check_unit(vertices, path)
     joint_indices, joint_weights = best_influences(influences)
     return Character(
@@ -188,13 +188,13 @@ def _still_weights(animation: Any, path: Path) -> dict[str, float]:
         return {}
     key = f"{animation.GetPrim().GetPath()}, blendShapeWeights"
     codes = animation.GetBlendShapeWeightTimeSamples() or [Usd.TimeCode.Default()]
-    given = [list(animation.ComputeBlendShapeWeights(code) or []) for code in codes]
-    if not any(given):
+    samples = [list(animation.ComputeBlendShapeWeights(code) or []) for code in codes]
+    if not any(samples):
         return {}
-    if {len(weights) for weights in given} != {len(names)}:
+    if {len(weights) for weights in samples} != {len(names)}:
         expected = f"{len(names)}, one for each blend shape"
-        raise InputError("bad values", file=path, key=key, received=len(given[0]), expected=expected)
-    weights = numbers(given, len(names), path, key)
+        raise InputError("bad values", file=path, key=key, received=len(samples[0]), expected=expected)
+    weights = numbers(samples, len(names), path, key)
     still = np.ptp(weights, axis=0) < 1e-6
     return {name: float(weights[0, index]) for index, name in enumerate(names) if still[index]}
 
@@ -340,11 +340,13 @@ def _clip(
         parts = query.ComputeJointLocalTransformComponents(Usd.TimeCode(time))
         for value, part, width, kind in zip(values, parts or [None] * 3, (3, 4, 3), ("t", "r", "s"), strict=True):
             what = {"t": "translations", "r": "rotations", "s": "scales"}[kind]
-            given = numbers(part, width, path, f"{key}, {what} at the time code {time:g}")
-            if len(given) != len(moved):
+            components = numbers(part, width, path, f"{key}, {what} at the time code {time:g}")
+            if len(components) != len(moved):
                 expected = f"{len(moved)}, one for each joint"
-                raise InputError("bad values", file=path, key=f"{key}, {what}", received=len(given), expected=expected)
-            value[frame, columns] = given[known]
+                raise InputError(
+                    "bad values", file=path, key=f"{key}, {what}", received=len(components), expected=expected
+                )
+            value[frame, columns] = components[known]
     lengths = np.linalg.norm(values[1], axis=2, keepdims=True)
     if lengths.min() < 0.5:
         raise InputError("a rotation that is no unit quaternion", file=path, key=f"{key}, rotations")

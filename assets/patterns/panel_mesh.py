@@ -159,12 +159,12 @@ def _bands(pattern: Pattern, corners: Floats, panel_of_face: NDArray[np.int32]) 
     layers, rest = np.ones(len(corners)), corners.copy()
     names = [panel.name for panel in pattern.panels]
     for band in pattern.bands:
-        mine = np.flatnonzero(panel_of_face == names.index(band.edge.panel))
-        share, tangent = _covered(pattern.edge(band.edge), band, corners[mine])
-        layers[mine] = np.maximum(layers[mine], 1.0 + share * (band.layers - 1.0))
+        own_faces = np.flatnonzero(panel_of_face == names.index(band.edge.panel))
+        share, tangent = _covered(pattern.edge(band.edge), band, corners[own_faces])
+        layers[own_faces] = np.maximum(layers[own_faces], 1.0 + share * (band.layers - 1.0))
         shorter = share * (band.length_ratio - 1.0)
-        along = np.einsum("fcx,fx->fc", rest[mine], tangent)
-        rest[mine] += (shorter[:, None] * along)[:, :, None] * tangent[:, None, :]
+        along = np.einsum("fcx,fx->fc", rest[own_faces], tangent)
+        rest[own_faces] += (shorter[:, None] * along)[:, :, None] * tangent[:, None, :]
     return layers, rest
 
 

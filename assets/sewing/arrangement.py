@@ -45,8 +45,8 @@ def arranged(pieces: Pieces, placements: Sequence[Placement | None], body: Stand
     outward = np.zeros((len(pieces.names), 3))
     for number, placement in enumerate(placements):
         if placement is not None:
-            mine = pieces.piece_of_vertex == number
-            positions[mine] = placement.apply(pieces.flat[mine])
+            own_vertices = pieces.piece_of_vertex == number
+            positions[own_vertices] = placement.apply(pieces.flat[own_vertices])
             outward[number] = placement.rotation[:, 2]
     _lay_beside_neighbours(pieces, positions, outward)
     distance = BodyDistance(body.faces)
@@ -54,8 +54,8 @@ def arranged(pieces: Pieces, placements: Sequence[Placement | None], body: Stand
         positions[:, 1] += _level(pieces, positions)[pieces.piece_of_vertex]
         positions[:, 1] += _lift(pieces, positions, body, distance)
     for number, name in enumerate(pieces.names):
-        mine = pieces.piece_of_vertex == number
-        positions[mine] += _way_out(name, positions[mine], outward[number], body, distance)
+        own_vertices = pieces.piece_of_vertex == number
+        positions[own_vertices] += _way_out(name, positions[own_vertices], outward[number], body, distance)
     return positions
 
 
@@ -73,14 +73,14 @@ def _lay_beside_neighbours(pieces: Pieces, positions: Floats, outward: Floats) -
             raise InputError("pieces without a place", key=", ".join(names), expected=expected)
         number = int(np.bincount(pieces.piece_of_vertex[both[:, 0]]).argmax())
         ends = both[pieces.piece_of_vertex[both[:, 0]] == number]
-        mine = pieces.piece_of_vertex == number
+        own_vertices = pieces.piece_of_vertex == number
         flat = np.insert(pieces.flat[ends[:, 0]], 2, 0.0, axis=1)
         # Kabsch 1976: the rotation of least squares.
         near = positions[ends[:, 1]]
         u, _, v = np.linalg.svd((flat - flat.mean(axis=0)).T @ (near - near.mean(axis=0)))
         turn = v.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(v.T @ u.T))]) @ u.T
-        solid = np.insert(pieces.flat[mine], 2, 0.0, axis=1)
-        positions[mine] = (solid - flat.mean(axis=0)) @ turn.T + near.mean(axis=0)
+        solid = np.insert(pieces.flat[own_vertices], 2, 0.0, axis=1)
+        positions[own_vertices] = (solid - flat.mean(axis=0)) @ turn.T + near.mean(axis=0)
         outward[number] = turn[:, 2]
 
 

@@ -126,14 +126,14 @@ def carried_over(coarse: Pieces, positions: Floats, fine: Pieces) -> Floats:
     found = np.zeros((len(fine.flat), 3))
     solid = np.insert(coarse.flat, 2, 0.0, axis=1)
     for piece in range(len(fine.names)):
-        mine, faces = fine.piece_of_vertex == piece, coarse.faces[coarse.piece_of_face == piece]
-        places = fine.flat[mine]
+        own_vertices, faces = fine.piece_of_vertex == piece, coarse.faces[coarse.piece_of_face == piece]
+        places = fine.flat[own_vertices]
         face, _ = closest_points(np.insert(places, 2, 0.0, axis=1), solid, faces)
         corners = coarse.flat[faces[face]]
         sides = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
         inner = np.linalg.solve(sides, (places - corners[:, 0])[:, :, None])[:, :, 0]
         weights = np.column_stack([1.0 - inner.sum(axis=1), inner])
-        found[mine] = np.einsum("pc,pci->pi", weights, positions[faces[face]])
+        found[own_vertices] = np.einsum("pc,pci->pi", weights, positions[faces[face]])
     return found
 
 

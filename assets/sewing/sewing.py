@@ -287,16 +287,16 @@ def _allowance(pieces: Pieces, surface: Joined) -> Floats:
     corners = pieces.flat[pieces.faces]
     inner = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3.0], [6.0], [6.0], [6.0]])
     for piece in range(len(pieces.names)):
-        mine = np.flatnonzero(pieces.piece_of_face == piece)
-        face, side = np.nonzero(sewn[mine])
+        own_faces = np.flatnonzero(pieces.piece_of_face == piece)
+        face, side = np.nonzero(sewn[own_faces])
         if not len(face):
             continue
-        a, b = corners[mine[face], side], corners[mine[face], (side + 1) % 3]
+        a, b = corners[own_faces[face], side], corners[own_faces[face], (side + 1) % 3]
         steps = int(np.ceil(4.0 * np.linalg.norm(b - a, axis=1).max() / SEAM_ALLOWANCE))
         along = (np.arange(steps + 1) / steps)[:, None, None]
         line = ((1.0 - along) * a + along * b).reshape(-1, 2)
-        places = np.einsum("sc,fcx->fsx", inner, corners[mine])
-        share[mine] = (cKDTree(line).query(places)[0] < SEAM_ALLOWANCE).mean(axis=1)
+        places = np.einsum("sc,fcx->fsx", inner, corners[own_faces])
+        share[own_faces] = (cKDTree(line).query(places)[0] < SEAM_ALLOWANCE).mean(axis=1)
     return share
 
 

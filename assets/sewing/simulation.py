@@ -45,20 +45,20 @@ class Clock:
 
     def __init__(self, work: float, report: Callable[[str], None] | None) -> None:
         self._work, self._report, self._done = work, report, 0.0
-        self._began = self._said = time.monotonic()
+        self._began = self._reported = time.monotonic()
         self.stage = ""
 
     def add(self, work: float) -> None:
         """Some work is done."""
         self._done += work
         now = time.monotonic()
-        if self._report is not None and now - self._said > 2.0:
+        if self._report is not None and now - self._reported > 2.0:
             share = min(self._done / self._work, 1.0)
             left = ""
             if share > MIN_SHARE:
                 left = f", {(now - self._began) * (1.0 / share - 1.0):.0f} s left"
             self._report(f"{self.stage}: {100.0 * share:.0f} %{left}")
-            self._said = now
+            self._reported = now
 
 
 def band_limits(layers: Floats) -> Floats:

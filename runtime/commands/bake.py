@@ -52,8 +52,8 @@ def run(options: argparse.Namespace) -> Report:
     check_is_no_source(options.output, options.character or scene_of(database))
     motion = inputs.motions[0]
     with Progress(sys.stderr) as progress:
-        given = database, inputs, motion, options.rate, options.seconds
-        player, frames, normals, poses = baked_frames(*given, report=progress.later)
+        arguments = database, inputs, motion, options.rate, options.seconds
+        player, frames, normals, poses = baked_frames(*arguments, report=progress.later)
         progress.later(f"writing {options.output}")
         faces, body = player.levels.subdivision.faces, shown_body(inputs.body, player.levels)
         garments, texture = garment_vertices(player.levels), database.fine_texture

@@ -125,11 +125,13 @@ def _pattern_of(options: argparse.Namespace, body: StandingBody) -> Pattern:
 
         name = options.pattern.removeprefix("draft:")
         known = [parameter.name for parameter in draft_parameters(name)]
-        given = {key: value for key, value in parameters.items() if key in MEASURES and key not in known}
-        if unknown := sorted(parameters.keys() - given.keys() - set(known)):
+        by_hand = {key: value for key, value in parameters.items() if key in MEASURES and key not in known}
+        if unknown := sorted(parameters.keys() - by_hand.keys() - set(known)):
             expected = f"one of {', '.join(known)}, or a measure: {', '.join(MEASURES)}"
             raise InputError("no such parameter", key=f"--param, draft {name}", received=unknown[0], expected=expected)
-        return draft(name, measure(body, given), **{key: parameters[key] for key in parameters.keys() - given.keys()})
+        return draft(
+            name, measure(body, by_hand), **{key: parameters[key] for key in parameters.keys() - by_hand.keys()}
+        )
     if parameters:
         expected = "none: only a draft (draft:NAME) has parameters"
         raise InputError("a parameter of a file", key="--param", received=sorted(parameters), expected=expected)
