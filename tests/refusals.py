@@ -12,7 +12,8 @@ from pbd import InputError
 P = ParamSpec("P")
 
 
-def refuses(message: str, call: Callable[P, object], /, *arguments: P.args, **named: P.kwargs) -> None:
-    """Fail unless a call ends in an InputError; ``message`` is a pattern of some part of its text."""
-    with pytest.raises(InputError, match=message):
+def refuses(message: str, call: Callable[P, object], /, *arguments: P.args, **named: P.kwargs) -> str:
+    """What a call that must end in an InputError says; ``message`` is a pattern of some part of it, if any."""
+    with pytest.raises(InputError, match=message or None) as caught:
         call(*arguments, **named)
+    return str(caught.value)

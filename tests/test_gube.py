@@ -15,14 +15,11 @@ import pytest
 
 import gube
 from tests.data import ROOT
+from tests.processes import python
 
 DOCUMENTS = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").glob("*.py")])
 API = ROOT / "docs" / "api.md"
 OBJECTS = [name for name in gube.__all__ if name != "__version__"]
-
-
-def run_python(script: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True)
 
 
 def used_names(text: str) -> set[str]:
@@ -36,9 +33,7 @@ def test_importing_it_loads_none_of_the_folders_and_no_library() -> None:
         "standard = set(sys.stdlib_module_names) | {'gube'}\n"
         "print(sorted({name.partition('.')[0] for name in set(sys.modules) - before} - standard))"
     )
-    result = run_python(script)
-    assert result.returncode == 0, result.stderr
-    assert result.stdout.strip() == "[]"
+    assert python(script).strip() == "[]"
 
 
 def test_each_name_exists_and_is_the_same_each_time() -> None:

@@ -2,7 +2,6 @@
 
 import ast
 import re
-import subprocess
 import sys
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
@@ -13,6 +12,7 @@ import pytest
 from tests.data import ROOT
 from tests.docstrings import untrue_sections
 from tests.imports import circles, imports, modules_imported
+from tests.processes import python
 
 FLOORS = ("pbd", "assets", "wrinkles", "runtime", "precompute", "gube")  # ground floor first, the roof last
 PLAYING = FLOORS[:4]
@@ -226,8 +226,7 @@ def test_playing_loads_nothing_that_only_learning_needs(graph: dict[str, set[str
         f"    loaded = [top for top in {(*NOT_FOR_PLAYING, 'precompute')!r} if top in sys.modules]\n"
         "    if loaded: sys.exit(f'{name} loads {loaded}')\n"
     )
-    result = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True)
-    assert result.returncode == 0, result.stderr
+    python(script)
 
 
 def test_docstrings_explain_what_there_is() -> None:

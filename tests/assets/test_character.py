@@ -10,7 +10,6 @@ import pytest
 
 from assets.character import Character, Clip, with_clips
 from assets.loading import load_character
-from pbd.errors import InputError
 from tests.assets.files import bar_glb, turn_z
 from tests.data import data_path
 from tests.refusals import refuses
@@ -79,9 +78,7 @@ def row(array: np.ndarray, index: int, value: object) -> np.ndarray:
     ],
 )
 def test_bad_data_is_refused(bar: Character, change: Callable[[Character], Character], message: str) -> None:
-    with pytest.raises(InputError, match=re.escape(message)) as caught:
-        change(bar)
-    assert "character bar" in str(caught.value)
+    assert "character bar" in refuses(re.escape(message), change, bar)
 
 
 def one_joint_clip(**changes: object) -> Clip:
@@ -143,12 +140,7 @@ def test_clips_of_another_body_are_refused(bar: Character, tmp_path: Path) -> No
 def test_the_woman_takes_the_clips_of_both_files() -> None:
     first = load_character(data_path("characters/mh_female_bandai_NC.glb"))
     both = with_clips(first, load_character(data_path("characters/mh_female_cmu_rokoko.glb")))
-    assert sorted(both.clips) == [
-        "dance_rokoko",
-        "jump_turn_cmu_01_01",
-        "jumping_jacks_cmu",
-        "run_bandai",
-        "walk_bandai",
-    ]
+    clips = "dance_rokoko", "jump_turn_cmu_01_01", "jumping_jacks_cmu", "run_bandai", "walk_bandai"
+    assert sorted(both.clips) == list(clips)
     man = load_character(data_path("characters/quaternius_mannequin_44clips.glb"))
     refuses("clips of another skeleton than mh_female_bandai_NC", with_clips, first, man)

@@ -65,20 +65,13 @@ def test_the_clip_plays_after_the_blend(bar: Character) -> None:
     np.testing.assert_allclose(motion.pose(0.625), half, atol=1e-12)
 
 
-def test_a_clip_may_be_given_by_its_name(bar: Character) -> None:
-    by_name, by_clip = ClipMotion(bar, "walk"), ClipMotion(bar, bar.clip("walk"))
-    assert np.array_equal(by_name.pose(1.3), by_clip.pose(1.3))
+def test_a_clip_by_its_name_is_clamped_and_starts_in_itself_without_a_blend(bar: Character) -> None:
+    clip = bar.clip("walk")
+    by_name, motion = ClipMotion(bar, "walk"), ClipMotion(bar, clip)
+    assert np.array_equal(by_name.pose(1.3), motion.pose(1.3))
     refuses("no such clip", ClipMotion, bar, "run")
-
-
-def test_time_beyond_the_ends_is_clamped(bar: Character) -> None:
-    motion = ClipMotion(bar, bar.clip("walk"))
     assert np.array_equal(motion.pose(-3.0), motion.pose(0.0))
     assert np.array_equal(motion.pose(99.0), motion.pose(motion.duration))
-
-
-def test_without_a_blend_it_starts_in_the_clip(bar: Character) -> None:
-    clip = bar.clip("walk")
     expected = bar.pose_from_local(clip.translation[0], clip.rotation[0], clip.scale[0])
     np.testing.assert_allclose(ClipMotion(bar, clip, blend=0.0).pose(0.0), expected, atol=1e-12)
 

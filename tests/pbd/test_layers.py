@@ -120,9 +120,8 @@ def test_layers_that_differ_where_they_must_not_are_refused() -> None:
 def test_what_lies_on_a_layer_does_not_push_it_into_the_body() -> None:
     """A light layer under one of two hundred times its weight, on a ball of triangles."""
     light, heavy = Fabric(areal_density=0.05), Fabric(areal_density=10.0)
-    model = layered(
-        [free_model(cloth(*level(12, 12, 0.02, y)), fabric) for y, fabric in ((0.105, light), (0.11, heavy))]
-    )
+    placed = (0.105, light), (0.11, heavy)
+    model = layered([free_model(cloth(*level(12, 12, 0.02, y)), fabric) for y, fabric in placed])
     ball, faces = icosphere(3)
     state, deepest = State.at_rest(model), 0.0
     body = body_of(0.1 * ball, faces, state)

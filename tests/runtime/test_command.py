@@ -5,8 +5,6 @@ import multiprocessing
 import os
 import re
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,7 +16,7 @@ from runtime.arguments import duration
 from runtime.commands import simulate
 from runtime.planner import TARGETS
 from runtime.report import Report
-from tests.data import ROOT
+from tests.processes import python
 
 SCENE = '[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\n'
 LEARNING = SCENE + '[character]\nfile = "builtin:mannequin"\n[training]\nprocedural_seconds = 40\n'
@@ -174,9 +172,7 @@ def loaded_by(*words: str) -> set[str]:
         "import sys\nfrom runtime.command import main\n"
         f"try: main({words!r})\nexcept SystemExit: pass\nprint(*sorted(sys.modules), sep='\\n')"
     )
-    result = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True)
-    assert result.returncode == 0, result.stderr
-    return set(result.stdout.splitlines())
+    return set(python(script).splitlines())
 
 
 @pytest.mark.parametrize("words", [["--help"], ["bench", "--help"], ["compare", "--help"], ["play"], ["nonsense"]])

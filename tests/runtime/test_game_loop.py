@@ -392,7 +392,6 @@ def test_the_scripted_drag_takes_a_vertex_where_it_is_and_draws_it_outwards(four
     assert (np.diff(targets[:, 2]) > 0.0).all()
     four_vertices.state.world()[2] = [5.0, 1.0, 1.0]  # taken again, it is taken where it is by then
     again = script(script.drag_time[0]).drag
-    assert again is not None
     np.testing.assert_allclose(again[1], [5.0, 1.0, 1.0], atol=1e-12)
 
 
@@ -409,5 +408,4 @@ def test_the_scripted_drag_goes_along_with_the_body(of: str, four_vertices: Any)
     walking: Any = SimpleNamespace(pose=pose)
     script = ScriptedInput(four_vertices, walking, 5.0, pull=0.0)
     first, last = script(3.5).drag, script(3.9).drag
-    assert first is not None and last is not None
     np.testing.assert_allclose(last[1] - first[1], [0.0, 0.0, 0.4], atol=1e-12)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,7 +24,7 @@ from runtime.player import Player
 from runtime.scene_simulation import simulation_of
 from runtime.simulation import poses_of
 from runtime.strips import draw_strips_apart
-from tests.data import ROOT
+from tests.processes import python
 from tests.refusals import refuses
 from tests.runtime.players import SCENE, skirt_database, skirt_stage
 from wrinkles.database import body_hash
@@ -138,11 +136,8 @@ def test_play_loads_nothing_that_only_learning_needs_and_prints_nothing_of_its_e
         "loaded = [name for name in ('sklearn', 'matplotlib', 'precompute', 'dask') if name in sys.modules]\n"
         "sys.exit(f'loaded {loaded}' if loaded else status)\n"
     )
-    arguments = ["play", str(path), "--seconds", "0.2", "-o", str(tmp_path)]
-    result = subprocess.run([sys.executable, "-c", script, *arguments], cwd=ROOT, capture_output=True, text=True)
-    assert result.returncode == 0, result.stderr
-    assert result.stdout.startswith("walk:\n")
-    assert "aichi" not in result.stdout
+    printed = python(script, "play", str(path), "--seconds", "0.2", "-o", str(tmp_path))
+    assert printed.startswith("walk:\n") and "aichi" not in printed
 
 
 def test_truth_is_found_where_precompute_left_it(path: Path) -> None:

@@ -59,7 +59,6 @@ def test_a_skirt_that_wind_hooks_through_the_legs_is_put_back() -> None:
     """Without that its edges stay 4.7 times too long."""
     simulation, motion = worn("skirt", "top")
     pose, put_back = motion.pose(0.0), simulation.redressing
-    assert put_back is not None
     stand(simulation, pose, 0.5)
     assert put_back.count == 0
     stand(simulation, pose, 1.0, (0.0, 0.0, 40.0))
@@ -84,7 +83,6 @@ def test_what_is_pulled_is_not_put_back_while_it_is_pulled() -> None:
 def test_a_garment_is_carried_on_where_the_pose_has_no_room_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
     simulation, motion = worn("skirt", "top")
     pose, put_back = motion.pose(0.0), simulation.redressing
-    assert put_back is not None
     looks = iter([[0]] * 4)
     monkeypatch.setattr(put_back._crossings, "find", lambda vertices: next(looks, []))
     stand(simulation, pose, 0.5, (0.0, 0.0, 40.0))

@@ -40,7 +40,6 @@ def test_garments_are_taken_off_and_put_on_without_a_jump() -> None:
         if player.worn == (name,):
             return player.vertices + player.origin
         layers = player.database.layers
-        assert layers is not None
         fine = layers.subdivided(player.levels.subdivision).layer
         return (player.vertices + player.origin)[fine == layers.names.index(name)]
 
@@ -164,7 +163,6 @@ def test_garments_that_an_outfit_lacks_are_refused() -> None:
 
 def test_what_is_left_of_an_outfit_is_a_database(tmp_path: Path) -> None:
     database = outfit_database()
-    assert database.layers is not None
     of_skirt = database.layers.layer[database.coarse_faces[:, 0]] == 1
     texture = np.zeros((len(of_skirt), 3, 2), np.float32)
     texture[~of_skirt] = np.nan
@@ -179,7 +177,6 @@ def test_what_is_left_of_an_outfit_is_a_database(tmp_path: Path) -> None:
     body = builtin_mannequin()
     player = Player(read, body)
     both = Player(database, body)
-    assert both.levels.layers is not None
     fine = both.levels.layers.subdivided(both.levels.subdivision).layer == 1
     np.testing.assert_allclose(both.levels.fine.vertices[fine], player.levels.fine.vertices, atol=1e-6)
 

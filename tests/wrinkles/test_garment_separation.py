@@ -33,7 +33,6 @@ def separation(levels: Levels, held: np.ndarray) -> tuple[GarmentSeparation, np.
     corners = levels.fine.vertices[levels.fine.faces[0]]
     up = float(np.sign(np.cross(corners[1] - corners[0], corners[2] - corners[0])[1]))
     layers, leading = levels.layers, leading_vertices(levels.subdivision)
-    assert layers is not None
     layer = layers.subdivided(levels.subdivision).layer
     return GarmentSeparation(layers, levels.subdivision, leading, 1, held, up, KEPT, EDGE), layer, up
 

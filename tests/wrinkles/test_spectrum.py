@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pbd import ClothMesh, InputError
+from pbd import ClothMesh
 from tests.refusals import refuses
 from tests.wrinkles.meshes import flat_sheet, turned
 from wrinkles.mesh_measures import bending_energy
@@ -131,10 +131,11 @@ def test_low_pass_filters_each_frame(sheet: tuple) -> None:
 def test_bad_input_is_refused(sheet: tuple) -> None:
     rest, faces = sheet
     mesh = ClothMesh.from_surface(rest, faces)
+    flat = mesh.flat * (np.arange(len(faces)) != 7)[:, None, None]
+    loose = np.concatenate([rest, [[0.0, 9.0, 0.0]]])
     refuses("wavelength", LowPass, mesh, 0.0)
-    refuses("without area", LowPass, replace(mesh, flat=mesh.flat * (np.arange(len(faces)) != 7)[:, None, None]), 0.2)
-    with pytest.raises(InputError, match=f"vertex {len(rest)}"):
-        LowPass(replace(mesh, vertices=np.concatenate([rest, [[0.0, 9.0, 0.0]]])), 0.2)
+    refuses("without area", lambda: LowPass(replace(mesh, flat=flat), 0.2))
+    refuses(f"vertex {len(rest)}", lambda: LowPass(replace(mesh, vertices=loose), 0.2))
 
 
 def test_the_flat_faces_set_the_metric_and_not_the_start_shape(sheet: tuple) -> None:

@@ -51,6 +51,7 @@ def test_joints_go_where_offsets_and_rotations_put_them(tmp_path: Path) -> None:
     assert motion.joint_parents.tolist() == [-1, 0, 1]
     assert motion.rate == pytest.approx(20.0)
     np.testing.assert_allclose(motion.positions[0], [[0, 1, 0], [2, 1, 0], [3, 1, 0]], atol=1e-12)
+    np.testing.assert_array_equal(motion.zero_pose, [[0, 1, 0], [2, 1, 0], [3, 1, 0]])
     # Turned by 90 degrees about z, x points up; the arm's own turn about y makes its x point along -z.
     np.testing.assert_allclose(motion.positions[1], [[5, 6, 7], [5, 8, 7], [5, 8, 6]], atol=1e-12)
 
@@ -63,19 +64,16 @@ def test_the_first_channel_is_the_outermost(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_bvh(write(tmp_path, text)).positions[1, 1], [2, 0, 0], atol=1e-12)
 
 
-def test_windows_line_ends_and_small_letters_are_read(tmp_path: Path) -> None:
-    text = ARM.replace("Xposition", "XPOSITION").replace("Frame Time", "frame time").replace("\n", "\r\n")
-    assert read_bvh(write(tmp_path, text)).positions.shape == (2, 3, 3)
-
-
-@pytest.mark.parametrize("rest", ["9 9 9 0 0 0 0 0 0\n", "9 9 9 0 0 0 0 0 0\n9 9\n", "# exported\n" * 5])
-def test_lines_after_the_announced_frames_are_passed_over(tmp_path: Path, rest: str) -> None:
-    announced, more = (read_bvh(write(tmp_path, text)) for text in (ARM, ARM + rest))
-    np.testing.assert_array_equal(more.positions, announced.positions)
-
-
-def test_the_zero_pose_is_that_of_the_offsets(tmp_path: Path) -> None:
-    np.testing.assert_array_equal(read_bvh(write(tmp_path, ARM)).zero_pose, [[0, 1, 0], [2, 1, 0], [3, 1, 0]])
+@pytest.mark.parametrize(
+    "text",
+    [
+        ARM.replace("Xposition", "XPOSITION").replace("Frame Time", "frame time").replace("\n", "\r\n"),
+        *(ARM + rest for rest in ("9 9 9 0 0 0 0 0 0\n", "9 9 9 0 0 0 0 0 0\n9 9\n", "# exported\n" * 5)),
+    ],
+)
+def test_line_ends_case_and_lines_after_the_announced_frames_do_not_matter(tmp_path: Path, text: str) -> None:
+    plain, found = (read_bvh(write(tmp_path, one)) for one in (ARM, text))
+    np.testing.assert_array_equal(found.positions, plain.positions)
 
 
 REFUSED = {
@@ -113,9 +111,7 @@ def test_refused(tmp_path: Path, case: str) -> None:
     old, new, message = REFUSED[case]
     assert ARM.count(old) >= 1
     text = "" if new is None else ARM.replace(old, new, 1)
-    with pytest.raises(InputError, match=re.escape(message)) as caught:
-        read_bvh(write(tmp_path, text))
-    assert "arm.bvh" in str(caught.value)
+    assert "arm.bvh" in refuses(re.escape(message), read_bvh, write(tmp_path, text))
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:

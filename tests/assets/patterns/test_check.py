@@ -68,16 +68,12 @@ def test_an_outline_that_cannot_be_cut(panel: Panel, message: str | None) -> Non
     refuses(message, check_pattern, pattern(panel))
 
 
-@pytest.mark.parametrize("shift", [(-0.4, 0.1), (-0.55, 0.05)])
-def test_panels_that_overlap_on_their_sheet(shift: tuple[float, float]) -> None:
-    inner = scaled(BESIDE, 0.9)
-    with pytest.raises(InputError, match="panels 'front' and 'back': panels that overlap"):
-        check_pattern(pattern(FRONT, moved(inner, shift)), on_one_sheet=True)
-
-
-def test_a_panel_inside_another_overlaps_too() -> None:
-    small = moved(scaled(FRONT, 0.2), (0.1, 0.1))
-    refuses("panels that overlap", check_pattern, pattern(FRONT, replace(small, name="small")), on_one_sheet=True)
+@pytest.mark.parametrize("panel", [moved(scaled(BESIDE, 0.9), shift) for shift in ((-0.4, 0.1), (-0.55, 0.05))])
+def test_panels_that_overlap_on_their_sheet(panel: Panel) -> None:
+    overlapping = "panels 'front' and 'back': panels that overlap"
+    refuses(overlapping, check_pattern, pattern(FRONT, panel), on_one_sheet=True)
+    inside = replace(moved(scaled(FRONT, 0.2), (0.1, 0.1)), name="small")
+    refuses("panels that overlap", check_pattern, pattern(FRONT, inside), on_one_sheet=True)
 
 
 def test_edges_of_very_different_length_are_named_with_their_ratio() -> None:
@@ -96,8 +92,7 @@ def test_all_faults_of_seams_and_bands_are_reported_at_once() -> None:
         seam(("front", 1), ("back", 1)),
     )
     bands = (Band(EdgeName("front", 4), 0.02), Band(EdgeName("back", 0), -0.02, layers=0.5, length_ratio=0.0))
-    with pytest.raises(InputError) as caught:
-        check_pattern(pattern(FRONT, BESIDE, seams=seams, bands=bands))
+    text = refuses("", check_pattern, pattern(FRONT, BESIDE, seams=seams, bands=bands))
     for words in (
         "8 problems",
         "seam 1: no such panel (received 'frnt', expected one of 'front', 'back'; did you mean 'front'?)",
@@ -109,7 +104,7 @@ def test_all_faults_of_seams_and_bands_are_reported_at_once() -> None:
         "band 1, layers: bad value (received 0.5, expected 1 to 20)",
         "band 1, length_ratio: bad value (received 0.0, expected 0.2 to 2)",
     ):
-        assert words in str(caught.value)
+        assert words in text
 
 
 def test_names_must_differ_and_there_must_be_panels() -> None:

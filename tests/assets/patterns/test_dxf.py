@@ -14,7 +14,7 @@ from ezdxf.xclip import XClip
 from assets.patterns.curves import signed_area
 from assets.patterns.dxf import read_dxf
 from assets.patterns.pattern import Panel
-from pbd.errors import InputError
+from tests.refusals import refuses
 
 Points = list[tuple[float, float]]
 CUT: Points = [(-10, -10), (510, -10), (510, 710), (-10, 710)]
@@ -40,13 +40,24 @@ def read(folder: Path, draw: Callable[[Any], object], more: Callable[[Drawing], 
 
 
 def refused(folder: Path, draw: Callable[[Any], object], more: Callable[[Drawing], object] | None = None) -> str:
-    with pytest.raises(InputError) as caught:
-        read(folder, draw, more)
-    return str(caught.value)
+    return refuses("", read, folder, draw, more)
 
 
 def closed(block: Any, points: Points, layer: str) -> None:
     block.add_polyline2d(points, close=True, dxfattribs=on(layer))
+
+
+def drawing(*items: tuple[str, Points]) -> Callable[[Any], None]:
+    """Draws a line of every two points and a closed polyline of more, each on its layer."""
+
+    def draw(block: Any) -> None:
+        for layer, points in items:
+            if len(points) == 2:
+                block.add_line(*points, dxfattribs=on(layer))
+            else:
+                closed(block, points, layer)
+
+    return draw
 
 
 def dots(block: Any, points: Points) -> None:
@@ -61,8 +72,7 @@ def millimetres(panel: Panel) -> list[list[float]]:
 @pytest.mark.parametrize("turns", [[], CUT, SEW, CUT + SEW])
 def test_the_sew_line_is_the_outline_where_there_is_one(tmp_path: Path, turns: Points) -> None:
     def draw(block: Any) -> None:
-        closed(block, CUT, "1")
-        closed(block, SEW, "14")
+        drawing(("1", CUT), ("14", SEW))(block)
         dots(block, turns)
 
     panel = read(tmp_path, draw)
@@ -70,35 +80,49 @@ def test_the_sew_line_is_the_outline_where_there_is_one(tmp_path: Path, turns: P
     assert [len(edge) for edge in panel.edges] == [2, 2, 2, 2]
 
 
-def test_the_cut_line_is_the_outline_without_a_sew_line(tmp_path: Path) -> None:
-    panel = read(tmp_path, lambda block: closed(block, CUT, "1"))
-    assert millimetres(panel) == [list(point) for point in CUT]
+def beside(layer: str) -> tuple[tuple[str, Points], ...]:
+    """A line and a small outline that change nothing."""
+    return ("1", SEW), (layer, [(0, 350), (8, 350)]), (layer, [(100, 100), (200, 100), (200, 200)])
 
 
-def test_a_sew_line_alone_is_an_outline(tmp_path: Path) -> None:
-    assert millimetres(read(tmp_path, lambda block: closed(block, SEW, "14"))) == [list(point) for point in SEW]
+@pytest.mark.parametrize(
+    ("items", "outline"),
+    [
+        ([("1", CUT)], CUT),  # the cut line without a sew line
+        ([("14", SEW)], SEW),  # a sew line alone
+        ([("1", SEW), ("6", [(250, 0), (250, 700)])], SEW),  # a mirror line through a whole piece
+        *((beside(layer), SEW) for layer in ("3", "4", "5", "8", "9", "10", "13", "15", "80", "84", "87")),
+    ],
+)
+def test_what_makes_an_outline_and_what_changes_none(
+    tmp_path: Path, items: list[tuple[str, Points]], outline: Points
+) -> None:
+    assert millimetres(read(tmp_path, drawing(*items))) == [list(point) for point in outline]
 
 
-def test_a_sew_line_that_does_not_go_around_is_refused(tmp_path: Path) -> None:
-    def pocket(block: Any) -> None:
-        closed(block, CUT, "1")
-        closed(block, [(100, 100), (250, 100), (250, 300), (100, 300)], "14")
+POCKET: Points = [(100, 100), (250, 100), (250, 300), (100, 300)]
+SLIT: Points = [(0, 0), (250, 0), (250, 700), (0, 700), (0, 500), (20, 400), (0, 300)]
 
-    message = refused(tmp_path, pocket)
-    assert "panel 'front': a sew line that does not follow its cut line" in message
-    assert "allowances of 110, 110, 260, 410 mm" in message
 
-    def stitching(block: Any) -> None:
-        closed(block, CUT, "1")
-        block.add_line((0, 0), (500, 0), dxfattribs=on("14"))
-
-    assert "panel 'front', sew line: an open outline" in refused(tmp_path, stitching)
-
-    def outside(block: Any) -> None:
-        closed(block, SEW, "1")
-        closed(block, CUT, "14")
-
-    assert "a sew line that does not follow its cut line" in refused(tmp_path, outside)
+@pytest.mark.parametrize(
+    ("items", "message"),
+    [
+        ([("1", CUT), ("14", POCKET)], "panel 'front': a sew line that does not follow its cut line"),
+        ([("1", CUT), ("14", POCKET)], "allowances of 110, 110, 260, 410 mm"),
+        ([("1", CUT), ("14", [(0, 0), (500, 0)])], "panel 'front', sew line: an open outline"),
+        ([("1", SEW), ("14", CUT)], "a sew line that does not follow its cut line"),
+        ([("1", SEW), ("6", [(-50, 0), (-50, 700)])], "panel 'front': a half piece that cannot be unfolded"),
+        (
+            [("1", SEW), ("6", [(0, 0), (0, 700)]), ("6", [(0, 0), (500, 0)])],
+            "panel 'front': several mirror lines (received 2",
+        ),
+        ([("1", SEW), ("6", [(0, 100), (0, 100.01)])], "panel 'front': a mirror line without length"),
+        ([("1", SLIT), ("6", [(0, 0), (0, 700)])], "a half piece that cannot be unfolded"),
+        ([("1", SEW), ("1", [(x + 600, y) for x, y in SEW])], "panel 'front': a panel of several outlines"),
+    ],
+)
+def test_what_is_no_piece_is_refused(tmp_path: Path, items: list[tuple[str, Points]], message: str) -> None:
+    assert message in refused(tmp_path, drawing(*items))
 
 
 def mirrored(points: Points) -> list[list[float]]:
@@ -113,12 +137,7 @@ def as_set(points: Any) -> set[tuple[float, ...]]:
 @pytest.mark.parametrize("turned", [False, True])
 def test_a_half_piece_is_unfolded_along_its_mirror_line(tmp_path: Path, start: int, turned: bool) -> None:
     points = HALF[start:] + HALF[:start]
-
-    def draw(block: Any) -> None:
-        closed(block, points[::-1] if turned else points, "1")
-        block.add_line((0, 0), (0, 650), dxfattribs=on("6"))
-
-    panel = read(tmp_path, draw)
+    panel = read(tmp_path, drawing(("1", points[::-1] if turned else points), ("6", [(0, 0), (0, 650)])))
     # Neither end of the fold is a corner of the hem; at the neck the whole turns by 53 degrees.
     corners = as_set([*HALF[1:], *mirrored(HALF[1:4])])
     assert as_set(np.round(1e3 * np.array([edge[0] for edge in panel.edges]), 6)) == corners
@@ -127,8 +146,7 @@ def test_a_half_piece_is_unfolded_along_its_mirror_line(tmp_path: Path, start: i
 
 def test_turn_points_on_the_fold_count_where_the_whole_has_a_corner(tmp_path: Path) -> None:
     def draw(block: Any) -> None:
-        closed(block, HALF, "1")
-        block.add_line((0, -20), (0, 700), dxfattribs=on("6"))
+        drawing(("1", HALF), ("6", [(0, -20), (0, 700)]))(block)
         dots(block, [(0, 0), (250, 0), (100, 700), (0, 650)])  # none at (250, 600)
 
     panel = read(tmp_path, draw)
@@ -154,110 +172,59 @@ def test_a_half_piece_of_lines_and_arcs_is_unfolded_and_its_fold_may_be_open(tmp
 
 
 def test_the_sew_line_of_a_half_piece_is_unfolded(tmp_path: Path) -> None:
-    def draw(block: Any) -> None:
-        closed(block, [(0, -10), (260, -10), (260, 710), (0, 710)], "1")
-        closed(block, [(0, 0), (250, 0), (250, 700), (0, 700)], "14")
-        block.add_line((0, -10), (0, 710), dxfattribs=on("6"))
-
-    panel = read(tmp_path, draw)
+    cut: Points = [(0, -10), (260, -10), (260, 710), (0, 710)]
+    sew: Points = [(0, 0), (250, 0), (250, 700), (0, 700)]
+    panel = read(tmp_path, drawing(("1", cut), ("14", sew), ("6", [(0, -10), (0, 710)])))
     np.testing.assert_allclose(np.ptp(panel.outline, axis=0), [0.5, 0.7])
     assert [len(edge) for edge in panel.edges] == [2, 3, 2, 3]  # the hem and the waist go on over the fold
 
 
-def test_a_mirror_line_through_a_whole_piece_changes_nothing(tmp_path: Path) -> None:
-    def draw(block: Any) -> None:
-        closed(block, SEW, "1")
-        block.add_line((250, 0), (250, 700), dxfattribs=on("6"))
-
-    assert millimetres(read(tmp_path, draw)) == [list(point) for point in SEW]
-
-
-@pytest.mark.parametrize(
-    ("lines", "message"),
-    [
-        ([((-50, 0), (-50, 700))], "panel 'front': a half piece that cannot be unfolded"),
-        ([((0, 0), (0, 700)), ((0, 0), (500, 0))], "panel 'front': several mirror lines (received 2"),
-        ([((0, 100), (0, 100.01))], "panel 'front': a mirror line without length"),
-    ],
-)
-def test_mirror_lines_that_unfold_nothing(tmp_path: Path, lines: list[Points], message: str) -> None:
-    def draw(block: Any) -> None:
-        closed(block, SEW, "1")
-        for start, end in lines:
-            block.add_line(start, end, dxfattribs=on("6"))
-
-    assert message in refused(tmp_path, draw)
-
-
-def test_a_half_piece_with_a_slit_in_its_fold_is_refused(tmp_path: Path) -> None:
-    slit: Points = [(0, 0), (250, 0), (250, 700), (0, 700), (0, 500), (20, 400), (0, 300)]
-
-    def draw(block: Any) -> None:
-        closed(block, slit, "1")
-        block.add_line((0, 0), (0, 700), dxfattribs=on("6"))
-
-    assert "a half piece that cannot be unfolded" in refused(tmp_path, draw)
-
-
-@pytest.mark.parametrize("layer", ["3", "4", "5", "8", "9", "10", "13", "15", "80", "84", "87"])
-def test_layers_that_change_no_outline(tmp_path: Path, layer: str) -> None:
-    def draw(block: Any) -> None:
-        closed(block, SEW, "1")
-        block.add_line((0, 350), (8, 350), dxfattribs=on(layer))
-        closed(block, [(100, 100), (200, 100), (200, 200)], layer)
-
-    assert millimetres(read(tmp_path, draw)) == [list(point) for point in SEW]
-
-
-def test_a_cutout_is_refused(tmp_path: Path) -> None:
-    def draw(block: Any) -> None:
-        closed(block, SEW, "1")
-        block.add_circle((250, 350), 50, dxfattribs=on("11"))
-
-    assert "panel 'front': a cutout inside a piece (received 'curves on layer 11'" in refused(tmp_path, draw)
-
-
 def test_the_grain_is_the_longest_line_whatever_its_kind(tmp_path: Path) -> None:
     def draw(block: Any) -> None:
-        closed(block, SEW, "1")
-        block.add_line((400, 100), (390, 110), dxfattribs=on("7"))  # an arrow head
+        drawing(("1", SEW), ("7", [(400, 100), (390, 110)]))(block)  # an arrow head
         block.add_polyline2d([(100, 100), (400, 100)], dxfattribs=on("7"))
 
     assert read(tmp_path, draw).grain.tolist() == [1.0, 0.0]
 
-    def ring(block: Any) -> None:
-        closed(block, SEW, "1")
-        block.add_circle((250, 350), 50, dxfattribs=on("7"))
 
-    assert "panel 'front': a grain line that ends where it starts" in refused(tmp_path, ring)
+@pytest.mark.parametrize(
+    ("layer", "message"),
+    [
+        ("7", "panel 'front': a grain line that ends where it starts"),
+        ("11", "panel 'front': a cutout inside a piece (received 'curves on layer 11'"),
+    ],
+)
+def test_a_ring_is_no_grain_and_a_cutout_is_refused(tmp_path: Path, layer: str, message: str) -> None:
+    def draw(block: Any) -> None:
+        closed(block, SEW, "1")
+        block.add_circle((250, 350), 50, dxfattribs=on(layer))
+
+    assert message in refused(tmp_path, draw)
 
 
 def test_pieces_that_would_be_lost_are_refused(tmp_path: Path) -> None:
-    def draw(block: Any) -> None:
-        closed(block, SEW, "1")
-
     def named_layer(document: Drawing) -> None:
         closed(document.blocks.new("back"), SEW, "CUT")
         document.modelspace().add_blockref("back", (600, 0))
 
-    assert "panel 'back': a block without an outline (received ['CUT']" in refused(tmp_path, draw, named_layer)
-
-    def beside(document: Drawing) -> None:
+    def outline_beside(document: Drawing) -> None:
         closed(document.modelspace(), [(x + 600, y) for x, y in SEW], "back")
-
-    assert "outlines beside the blocks (received ['back']" in refused(tmp_path, draw, beside)
 
     def nested(document: Drawing) -> None:
         closed(document.blocks.new("pair"), SEW, "1")
         document.blocks["pair"].add_blockref("front", (600, 0))
         document.modelspace().add_blockref("pair", (600, 0))
 
-    assert "block 'pair': a block inside a block (received 'front'" in refused(tmp_path, draw, nested)
-
     def rows(document: Drawing) -> None:
         document.modelspace().add_blockref("front", (600, 0), {"column_count": 2, "column_spacing": 600})
 
-    assert "block 'front': a block in rows and columns" in refused(tmp_path, draw, rows)
+    for more, message in (
+        (named_layer, "panel 'back': a block without an outline (received ['CUT']"),
+        (outline_beside, "outlines beside the blocks (received ['back']"),
+        (nested, "block 'pair': a block inside a block (received 'front'"),
+        (rows, "block 'front': a block in rows and columns"),
+    ):
+        assert message in refused(tmp_path, drawing(("1", SEW)), more)
 
 
 @pytest.mark.parametrize("on", [True, False])
@@ -300,11 +267,3 @@ def test_layers_that_are_hidden_are_left_out(tmp_path: Path, hide: str) -> None:
     document.saveas(tmp_path / "top.dxf")
     (panel,) = read_dxf(tmp_path / "top.dxf")
     assert panel.name == "front"
-
-
-def test_two_outlines_on_one_layer_are_refused(tmp_path: Path) -> None:
-    def draw(block: Any) -> None:
-        closed(block, SEW, "1")
-        closed(block, [(x + 600, y) for x, y in SEW], "1")
-
-    assert "panel 'front': a panel of several outlines" in refused(tmp_path, draw)

@@ -61,38 +61,51 @@ def test_a_drawing_without_unit_is_refused(tmp_path: Path, size: str, box: str) 
         read(tmp_path, FRONT, f"{size} {box}")
 
 
+LINE = '<line id="front.grain" x1="50" y1="50" x2="50" y2="90"/>'
+
+
 @pytest.mark.parametrize(
-    ("page", "message"),
+    ("drawn", "page", "message"),
     [
-        ('width="40em" viewBox="0 0 1200 800"', "width: bad size .*'40em'"),
-        ('width="-3mm" viewBox="0 0 1200 800"', "width: bad size .*'-3mm'"),
-        ('width="1200mm" viewBox="0 0 1200"', "viewBox: bad viewBox .*four numbers"),
+        ("", 'width="40em" viewBox="0 0 1200 800"', "width: bad size .*'40em'"),
+        ("", 'width="-3mm" viewBox="0 0 1200 800"', "width: bad size .*'-3mm'"),
+        ("", 'width="1200mm" viewBox="0 0 1200"', "viewBox: bad viewBox .*four numbers"),
         (
+            "",
             'width="1200mm" height="400mm" viewBox="0 0 1200 800" preserveAspectRatio="none"',
             "preserveAspectRatio: a stretched drawing",
         ),
+        (LINE.replace("front", "frnt"), PAGE, "'frnt.grain': a grain line without its panel"),
+        (2 * LINE, PAGE, "'front.grain': the same name twice"),
+        (LINE.replace('"90"', '"50"'), PAGE, "'front.grain': .* ends where it starts"),
+        ('<use id="back" xlink:href="#front" x="580"/>', PAGE, "use 'back': a clone, which is not read .*'#front'"),
+        ('<use href="other.svg#back"/>', PAGE, "use: a clone, which is not read"),
+        (f'<a href="x">{BACK}</a>', PAGE, "path 'back': a shape that is not read .*'in a'"),
+        (f"<switch><g>{BACK}</g></switch>", PAGE, "path 'back': a shape that is not read .*'in switch'"),
+        (f'<svg x="5">{BACK}</svg>', PAGE, "path 'back': a shape that is not read .*'in svg'"),
+        (f'<g style="transform:scale(2)">{BACK}</g>', PAGE, r"g: a style that changes an outline .*scale\(2\)"),
+        (
+            BACK.replace("/>", ' transform="rotate(9)" transform-origin="center"/>'),
+            PAGE,
+            "'back': a style that changes",
+        ),
+        (f"<style>path{{d:path('M0 0')}}</style>{BACK}", PAGE, "path 'back': a style that changes an outline"),
+        (f"<style>g > .a {{display:none}}</style>{BACK}", PAGE, "style 'g > .a': a rule that is not read"),
+        (f"<style>@media print {{.a {{display:none}}}}</style>{BACK}", PAGE, "a rule that is not read"),
+        (f'<g clip-path="url(#x)">{BACK}</g>', PAGE, r"g: a clip that may cut outlines off .*url\(#x\)"),
+        (f"<style>.c {{clip-path: url('#c')}}</style><g class='c'>{BACK}</g>", PAGE, "a clip that may cut"),
+        (BACK.replace("/>", ' style="mask:url(#m)"/>'), PAGE, "path 'back': a clip that may cut"),
+        (BACK.replace("/>", ' transform="rotate(9"/>'), PAGE, "cannot be read: Invalid SVG transform"),
     ],
 )
-def test_bad_sizes(tmp_path: Path, page: str, message: str) -> None:
-    refuses(message, read, tmp_path, FRONT, page)
+def test_what_is_drawn_and_not_read_is_refused(tmp_path: Path, drawn: str, page: str, message: str) -> None:
+    refuses(message, read, tmp_path, FRONT + drawn, page)
 
 
 def test_two_shapes_of_one_name_are_both_there_and_refused(tmp_path: Path) -> None:
     panels = read(tmp_path, FRONT + BACK.replace("back", "front"))
     assert [panel.name for panel in panels] == ["front", "front"]
     refuses("panel 'front': the same name twice", check_pattern, pattern(*panels))
-
-
-@pytest.mark.parametrize(
-    ("lines", "message"),
-    [
-        ('<line id="frnt.grain" x1="50" y1="50" x2="50" y2="90"/>', "'frnt.grain': a grain line without its panel"),
-        (2 * '<line id="front.grain" x1="50" y1="50" x2="50" y2="90"/>', "'front.grain': the same name twice"),
-        ('<line id="front.grain" x1="50" y1="50" x2="50" y2="50"/>', "'front.grain': .* ends where it starts"),
-    ],
-)
-def test_grain_lines_that_say_nothing(tmp_path: Path, lines: str, message: str) -> None:
-    refuses(message, read, tmp_path, FRONT + lines)
 
 
 @pytest.mark.parametrize(
@@ -130,29 +143,6 @@ def test_what_is_hidden_is_left_out(tmp_path: Path, hidden: str) -> None:
 )
 def test_what_is_shown_is_read(tmp_path: Path, shown: str) -> None:
     assert names(tmp_path, FRONT + shown) == ["back", "front"]
-
-
-@pytest.mark.parametrize(
-    ("drawn", "message"),
-    [
-        ('<use id="back" xlink:href="#front" x="580"/>', "use 'back': a clone, which is not read .*'#front'"),
-        ('<use href="other.svg#back"/>', "use: a clone, which is not read"),
-        (f'<a href="x">{BACK}</a>', "path 'back': a shape that is not read .*'in a'"),
-        (f"<switch><g>{BACK}</g></switch>", "path 'back': a shape that is not read .*'in switch'"),
-        (f'<svg x="5">{BACK}</svg>', "path 'back': a shape that is not read .*'in svg'"),
-        (f'<g style="transform:scale(2)">{BACK}</g>', r"g: a style that changes an outline .*scale\(2\)"),
-        (BACK.replace("/>", ' transform="rotate(9)" transform-origin="center"/>'), "'back': a style that changes"),
-        (f"<style>path{{d:path('M0 0')}}</style>{BACK}", "path 'back': a style that changes an outline"),
-        (f"<style>g > .a {{display:none}}</style>{BACK}", "style 'g > .a': a rule that is not read"),
-        (f"<style>@media print {{.a {{display:none}}}}</style>{BACK}", "a rule that is not read"),
-        (f'<g clip-path="url(#x)">{BACK}</g>', r"g: a clip that may cut outlines off .*url\(#x\)"),
-        (f"<style>.c {{clip-path: url('#c')}}</style><g class='c'>{BACK}</g>", "a clip that may cut"),
-        (BACK.replace("/>", ' style="mask:url(#m)"/>'), "path 'back': a clip that may cut"),
-        (BACK.replace("/>", ' transform="rotate(9"/>'), "cannot be read: Invalid SVG transform"),
-    ],
-)
-def test_what_is_drawn_and_not_read_is_refused(tmp_path: Path, drawn: str, message: str) -> None:
-    refuses(message, read, tmp_path, FRONT + drawn)
 
 
 def test_a_closed_curve_of_one_piece_is_part_of_the_outline(tmp_path: Path) -> None:

@@ -142,7 +142,6 @@ def test_skirt_sits_at_the_waist_and_flares() -> None:
     assert 0.0025 < gap(waist).min() and gap(waist).max() < 0.008
     around = [np.linalg.norm(loop - np.roll(loop, 1, axis=0), axis=1).sum() for loop in (waist, hem)]
     hips = body_mesh().section([0.0, 1.0, 0.0], [0.0, 0.88, 0.0])
-    assert hips is not None
     middle = max(hips.entities, key=lambda entity: entity.length(hips.vertices))
     assert 2.0 < around[1] / middle.length(hips.vertices) < 2.4
     assert 0.35 < hem[:, 1].mean() < 0.55  # between the knee and the calf

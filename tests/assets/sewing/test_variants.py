@@ -103,7 +103,6 @@ def _graded(panel: Panel, size: float, factor: float, longer: float) -> Panel:
         down = np.clip((low + LENGTHENED - points[:, 1]) / LENGTHENED, 0.0, 1.0)
         return (points - [0.0, longer] * down[:, None] - centre) * factor + centre * size
 
-    assert panel.placement is not None
     placement = replace(panel.placement, translation=size * panel.placement.translation)
     return replace(panel, edges=tuple(moved(edge) for edge in panel.edges), placement=placement)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_matrix
 
-from pbd import Colliders, Fabric, InputError, Model, State
+from pbd import Colliders, Fabric, Model, State
 from pbd.models import Options, StepError, make_solver
 from pbd.models.elements import QuadraticElements, Sum
 from pbd.models.integrators import ImplicitEuler, Midpoint, QuasiStatic, Verlet, highest
@@ -270,6 +270,5 @@ def test_other_states_and_bodies_are_refused() -> None:
 
 
 def test_bad_options_are_named_at_once() -> None:
-    with pytest.raises(InputError) as caught:
-        Options(substep=0.0, gravity=(0.0, np.nan, 0.0), iterations=0, tolerance=-1.0, bend_poisson=1.0)
-    assert all(name in str(caught.value) for name in ("substep", "gravity", "iterations", "tolerance", "bend_poisson"))
+    text = refuses("", Options, substep=0.0, gravity=(0.0, np.nan, 0.0), iterations=0, tolerance=-1.0, bend_poisson=1.0)
+    assert all(name in text for name in ("substep", "gravity", "iterations", "tolerance", "bend_poisson"))

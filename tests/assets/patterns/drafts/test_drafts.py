@@ -74,7 +74,6 @@ def check_sound(m: BodyMeasures, pattern: Pattern) -> None:
         assert 0.97 < ratio < 1.03, seam
     around = Surroundings(m)
     for panel in pattern.panels:
-        assert panel.placement is not None
         assert around.room(m.frame.local(panel.placement.apply(dense(panel.outline)))) > 0.01, panel.name
 
 
@@ -198,7 +197,6 @@ def test_panels_stand_around_a_body_that_stands_elsewhere() -> None:
     here = draft("circle_skirt", measured("mannequin"))
     there = draft("circle_skirt", measure(moved(StandingBody("there", body.vertices, body.faces), by, degrees)))
     for panel, other in zip(here.panels, there.panels, strict=True):
-        assert panel.placement is not None and other.placement is not None
         placed = StandingBody("panel", panel.placement.apply(panel.outline), body.faces)
         np.testing.assert_allclose(other.placement.apply(other.outline), moved(placed, by, degrees).vertices, atol=1e-4)
 
