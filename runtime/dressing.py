@@ -160,7 +160,7 @@ class Wardrobe:
         return self._made[names]
 
     def put_on(self, now: PlayedGarment, before: PlayedGarment) -> Stay:
-        """Bring garments of the outfit to the place and time of others; what is put on finds its place.
+        """Bring garments of the outfit to the place and time of others; a garment that is put on finds its place.
 
         Args:
             now: the garments that are worn from now on.

@@ -172,9 +172,9 @@ class Player:
         return () if self._wardrobe is None else garment_names(self.database)
 
     def wear(self, names: Iterable[str]) -> None:
-        """Put garments of an outfit on and take others off; what stays on goes on as it is, and nothing of it pops.
+        """Put garments of an outfit on and take others off; garments that stay on go on as they are, and nothing pops.
 
-        What is put on is placed where the body carries it from the bind pose, and finds its place within this call.
+        A garment that is put on is placed where the body carries it from the bind pose, and finds its place here.
         ``database``, ``levels``, ``simulation``, ``vertices`` and ``normals`` are others after it. The first call with
         a set of garments makes what these need in a second or two; the player keeps that for the next time, so that
         taking off then costs a few frames and putting on some tenths of a second. A vertex that was dragged is free.

@@ -57,7 +57,7 @@ class Surface(Protocol):
             detail: says how many parts of the work are done, and how often.
 
         Returns:
-            processor time of relaxation [ms]; 0 where it is not told apart.
+            processor time of relaxation [ms]; 0 where it is not distinguished.
         """
         ...
 
