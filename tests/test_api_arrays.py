@@ -208,6 +208,7 @@ CALLS: dict[str, tuple[Callable[..., Any], Any]] = {
     "Player.step(pose)": (lambda a: player().step(a, 0.01), pose),
     "Player.step(wind)": (lambda a: player().step(pose(), 0.01, a), THREE),
     "Player.go_back(pose)": (lambda a: player().go_back(player().start, a), pose),
+    "Player.of_scene(pose)": (lambda a: gube.Player.of_scene(player().simulation, a, 60.0), pose),
     "Player.drag(target)": (lambda a: player().drag(3, a), THREE),
     "Simulation(pose)": (
         lambda a: gube.Simulation(dressed().model, None, body_source(body()), a), pose,
