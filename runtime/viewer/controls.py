@@ -120,10 +120,12 @@ class Controls:
             )
             self._on_update(wrinkles, lambda value: self._viewer.choose(wrinkles=value))
         if self._source.garments and garment.worn:
-            boxes = {name: gui.add_checkbox(name, name in garment.worn, hint="worn") for name in self._source.garments}
-            for box in boxes.values():
+            worn_boxes = {
+                name: gui.add_checkbox(name, name in garment.worn, hint="worn") for name in self._source.garments
+            }
+            for box in worn_boxes.values():
                 self._on_update(
-                    box, lambda _: self._viewer.wear(tuple(name for name, box in boxes.items() if box.value))
+                    box, lambda _: self._viewer.wear(tuple(name for name, box in worn_boxes.items() if box.value))
                 )
         if len(garment.meshes) > 1:
             boxes = {name: gui.add_checkbox(name, name in look.meshes) for name in garment.meshes}

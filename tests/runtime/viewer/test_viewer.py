@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -60,6 +61,15 @@ def run(viewer: Viewer, *actions: Callable[[], Any]) -> list[Any]:
     viewer.run(stop)
     threads_end.join()
     return results
+
+
+def check_box(viewer: Viewer, label: str, value: bool) -> None:
+    """Set a box of the window as a browser does."""
+    boxes = viewer._controls._gui._gui_input_handle_from_uuid.values()
+    box = next(box for box in boxes if box.label == label)
+    box.value = value
+    for act in box._impl.update_cb:
+        asyncio.run(act(SimpleNamespace(client_id=0)))
 
 
 def until(happened: Callable[[], bool]) -> None:
@@ -208,6 +218,11 @@ def test_garments_of_an_outfit_are_taken_off_and_put_on(tmp_path: Path) -> None:
         obey(viewer, lambda: viewer.wear(("trousers",)))
         obey(viewer, lambda: viewer.save_scene(np.ones(3), np.zeros(3), 0.5))
         assert 'garments = ["trousers"]' in (tmp_path / "view_1.toml").read_text()
+        check_box(viewer, "skirt", True)
+        run(viewer, lambda: until(lambda: viewer._garment.worn == ("trousers", "skirt")))
+        check_box(viewer, "smooth", True)
+        run(viewer, lambda: until(lambda: "smooth" in viewer.look.meshes))
+        assert viewer._garment.worn == ("trousers", "skirt")
     finally:
         viewer.close()
 
