@@ -33,7 +33,7 @@ ensure_initialized()  # here rather than in a fixture: test modules may make arr
 
 
 class _LearnedTogether(LoadFileScheduling):
-    """Files stay whole."""
+    """Files stay whole; those of :data:`LEARNED` are one."""
 
     def _split_scope(self, nodeid: str) -> str:
         file = super()._split_scope(nodeid)
