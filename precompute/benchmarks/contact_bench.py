@@ -7,7 +7,7 @@ import numpy as np
 from pbd import ClothMesh, Colliders, Fabric, ModelOptions, Solver, SolverOptions, Sphere, State, build_model
 from pbd.crossings import crossings
 from pbd.mesh import lattice_faces
-from precompute.mechanics import FRAME_RATE
+from precompute.experiment.measures import FRAME_RATE
 
 __all__ = ["self_collision_cost"]
 

@@ -15,8 +15,8 @@ from assets.io.body_settings import MotionSettings
 from assets.io.scene import load_scene
 from pbd import Fabric, ModelOptions
 from precompute.demo_run import FULL
+from precompute.experiment.measures import FRAME_RATE
 from precompute.learning.run_recording import Run, record_runs
-from precompute.mechanics import FRAME_RATE
 from runtime.garment_setup import GarmentSetup, fine_options
 from runtime.picture_content import Drawn, frame_camera
 from runtime.pictures import render, strip

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 
 from pbd import ClothMesh, Colliders, Fabric, Plane, build_model
-from precompute.mechanics import FRAME_RATE, GRAVITY
+from precompute.experiment.measures import FRAME_RATE, GRAVITY
 from precompute.validation.plate_references import lateral_gamma
 from precompute.validation.strip_references import (
     cantilever,

@@ -9,7 +9,7 @@ import numpy as np
 
 from pbd import Body, Capsule, Colliders, Plane
 from pbd.models import StepError
-from precompute.mechanics import FRAME_RATE
+from precompute.experiment.measures import FRAME_RATE
 from precompute.validation.membrane_rows import ROPE
 from precompute.validation.strip_references import capstan_ratio
 from precompute.validation.trial import FABRIC, Trial, TrialResult, TrialSetting, level, strip

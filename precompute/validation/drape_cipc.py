@@ -23,7 +23,7 @@ from assets.io.sequence import load_sequence
 from assets.loading import load_garment
 from assets.seams import Seams, load_seams
 from pbd import Body, ClothMesh, Colliders, Fabric, Model, ModelOptions, Solver, SolverOptions, State, build_model
-from precompute.mechanics import FRAME_RATE
+from precompute.experiment.measures import FRAME_RATE
 from precompute.validation.trial import Curve, TrialResult, TrialSetting
 from precompute.validation.validation_row import Parameter, Row
 from wrinkles.spectrum import BandedEnergy

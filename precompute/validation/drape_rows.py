@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from pbd import Fabric
-from precompute.mechanics import GRAVITY
+from precompute.experiment.measures import GRAVITY
 from precompute.validation.drape_model import cone_load, least_energy_cone
 from precompute.validation.strip_references import cusick_estimate
 from precompute.validation.trial import FABRIC, Curve, Trial, TrialResult, TrialSetting, disc, level

@@ -14,7 +14,7 @@ from scipy.spatial import Delaunay
 from pbd import ClothMesh, Colliders, Fabric, Model, ModelOptions, Solver, SolverOptions, State, build_model
 from pbd.bending import bends_of
 from pbd.xpbd.constraints import FRICTION_STIFFNESS
-from precompute.mechanics import FRAME_RATE
+from precompute.experiment.measures import FRAME_RATE
 from precompute.validation.laboratory import DIRECTIONS, LoadCurve
 from precompute.validation.loops import LOOPS, bending_loop, branches, loop_area, read_loop, shear_loop
 from precompute.validation.trial import FABRIC, Curve, Specimen, Trial, TrialResult, TrialSetting, level, strip

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pbd import Colliders, Fabric, Plane
-from precompute.mechanics import FRAME_RATE, GRAVITY
+from precompute.experiment.measures import FRAME_RATE, GRAVITY
 from precompute.validation.trial import Trial, TrialSetting, level, strip
 
 __all__ = [

@@ -15,7 +15,7 @@ from pbd import ClothMesh, Colliders, Fabric, Model, ModelOptions, SolverOptions
 from pbd.bending import hinge_calibration
 from pbd.models import AnySolver, Options, make_solver
 from pbd.models.integrators import ExplicitSolver, NewtonSolver, QuasiStatic, SymplecticEuler
-from precompute.mechanics import FRAME_RATE, GRAVITY
+from precompute.experiment.measures import FRAME_RATE, GRAVITY
 
 __all__ = [
     "FABRIC",
