@@ -88,7 +88,7 @@ def _limit(offsets: Vec4, lengths: Float1, corrections: Vec4):
 def constraint_costs() -> dict[str, float]:
     """Processor time of a constraint on a square of 64 by 64 vertices, the best of 15 runs: ``TYPE_constraint_ns``."""
     ensure_initialized()
-    model = hanging_square(SIDE, fabric=Fabric())
+    model = hanging_square(SIDE, Fabric())
     count, noise = model.vertex_count, np.random.default_rng(0)
     edges, lengths = model.mesh.edge_lengths()
     colors = greedy_colors(edges, count)

@@ -54,7 +54,7 @@ class TimedSteps:
         return self.error.problem if isinstance(self.error, StepError) else str(self.error or "")
 
 
-def typical_ms(times: Sequence[float], without: float = np.nan) -> float:
+def typical_ms(times: Sequence[float] | np.ndarray, without: float = np.nan) -> float:
     """Median of times [s] in [ms]; ``without`` where there is none."""
     return 1e3 * float(np.median(times)) if len(times) else without
 

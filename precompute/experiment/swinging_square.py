@@ -10,7 +10,7 @@ import numpy as np
 from pbd import ClothMesh, Colliders, Fabric, Model, Solver, SolverOptions, State
 from pbd.mesh import lattice_faces
 from precompute.experiment.measures import FRAME_RATE, TimedSteps, elongation, typical_ms
-from precompute.experiment.sheets import lattice, tilted, triangulated, untethered
+from precompute.experiment.sheets import lattice, tilted, untethered
 
 __all__ = ["STIFF", "SquareFigures", "SquareRun", "hanging_square", "measure", "measure_steps"]
 
@@ -63,28 +63,18 @@ class SquareRun(NamedTuple):
     passed: bool
 
 
-def hanging_square(count: int, hung: str = "corners", *, mesh: str = "grid", fabric: Fabric = STIFF) -> Model:
-    """Square of 1 m at rest, tilted about its upper side by 30 deg from the vertical; it will swing along z.
+def hanging_square(count: int, fabric: Fabric = STIFF) -> Model:
+    """Square of 1 m at rest, hung by its upper corners and tilted about that side by 30 deg; it will swing along z.
 
     Args:
-        count: vertices a side; an irregular mesh has as many in all.
-        hung: "corners" (the two upper ones) or "side" (the whole upper side).
-        mesh: "grid" (squares with one diagonal throughout) or "irregular" (inner vertices moved by up to 0.35 of a
-            step, Delaunay triangles).
+        count: vertices a side; the squares have one diagonal throughout.
         fabric: with its warp along the upper side.
     """
     step = 1.0 / (count - 1)
     index, *places = lattice(count, count)
-    flat, faces = np.stack(places, axis=-1) * step, lattice_faces(index, alternating=False)
-    if mesh != "grid":
-        inner = ((flat > 0.5 * step) & (flat < 1.0 - 0.5 * step)).all(axis=1)
-        flat += inner[:, None] * np.random.default_rng(0).uniform(-0.35, 0.35, flat.shape) * step
-        faces, twice_area = triangulated(flat)
-        faces = faces[twice_area > 1e-3 * np.median(twice_area)]  # slivers along the border
-    upper = flat[:, 1] > 1.0 - 1e-9
-    side = (flat[:, 0] < 1e-9) | (flat[:, 0] > 1.0 - 1e-9)
-    held = np.flatnonzero(upper & side if hung == "corners" else upper)
-    vertices = tilted(flat[:, 0] - 0.5, flat[:, 1] - 1.0, TILT)
+    across, up = (part * step for part in places)
+    held = np.flatnonzero((up > 1.0 - 1e-9) & ((across < 1e-9) | (across > 1.0 - 1e-9)))
+    vertices, faces = tilted(across - 0.5, up - 1.0, TILT), lattice_faces(index, alternating=False)
     return untethered(ClothMesh.from_surface(vertices, faces, warp=(1.0, 0.0, 0.0)), fabric, held)
 
 

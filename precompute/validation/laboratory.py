@@ -15,7 +15,8 @@ import numpy as np
 
 from pbd import Colliders, Fabric, Plane
 from precompute.experiment.measures import FRAME_RATE, GRAVITY
-from precompute.validation.trial import Trial, TrialSetting, level, strip
+from precompute.experiment.sheets import level
+from precompute.validation.trial import Trial, TrialSetting, strip
 
 __all__ = [
     "DIRECTIONS", "LoadCurve", "bending_curve", "compression_curve", "friction_coefficient", "shear_curve",
