@@ -115,8 +115,9 @@ STAIRS = (
     "runtime",
     "runtime.viewer",
     "runtime.commands",
-    "precompute",  # processes and computers that work together, mechanics
+    "precompute",  # processes and computers that work together
     "precompute.reporting",
+    "precompute.experiment",
     "precompute.learning",
     "precompute.wardrobe_learning",
     "precompute.wrinkle_comparison",

@@ -19,8 +19,8 @@ from assets.motion import Motion
 from pbd import ClothMesh, InputError, ModelOptions, SolverOptions, build_model
 from pbd.crossings import crossings
 from pbd.distance import TOLERANCE, BodyDistance
-from precompute.mechanics import FRAME_RATE, GRAVITY
-from precompute.method_comparison.error_classes import LIMITS, longest_run
+from precompute.experiment.error_classes import LIMITS, longest_run
+from precompute.experiment.measures import FRAME_RATE, GRAVITY
 from precompute.reporting.tables import write_table
 from precompute.workers import Workers, run_jobs
 from runtime.picture_content import Drawn, frame_camera
@@ -251,7 +251,7 @@ def _clip_figures(
         ``edge_strain_p99``, ``edge_strain_max``, and ``edges_beyond_percent``: of edges over twice as long as at rest,
         on average;
         ``catastrophic_frames``: by the limits of
-        :mod:`precompute.method_comparison.error_classes`, the start for the reference;
+        :mod:`precompute.experiment.error_classes`, the start for the reference;
         ``overlap_frames``: those in which only edges where the body goes through itself are over the limit;
         ``finite``: 1 if all is.
     """

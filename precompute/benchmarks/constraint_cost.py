@@ -14,7 +14,7 @@ from pbd.xpbd.constraint_passes import solve_bending, solve_membrane
 from pbd.xpbd.constraints import spring_multiplier
 from pbd.xpbd.multigrid_cycle import solve_springs
 from pbd.xpbd.views import ClothArrays, ConstraintArrays, MultigridArrays
-from precompute.solver_scenes import hanging_square
+from precompute.experiment.swinging_square import hanging_square
 
 __all__ = ["constraint_costs"]
 
@@ -88,7 +88,7 @@ def _limit(offsets: Vec4, lengths: Float1, corrections: Vec4):
 def constraint_costs() -> dict[str, float]:
     """Processor time of a constraint on a square of 64 by 64 vertices, the best of 15 runs: ``TYPE_constraint_ns``."""
     ensure_initialized()
-    model = hanging_square(SIDE, fabric=Fabric()).model
+    model = hanging_square(SIDE, Fabric())
     count, noise = model.vertex_count, np.random.default_rng(0)
     edges, lengths = model.mesh.edge_lengths()
     colors = greedy_colors(edges, count)

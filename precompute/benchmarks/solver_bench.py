@@ -10,14 +10,14 @@ from typing import Any
 from pbd import SolverOptions
 from precompute.benchmarks.constraint_cost import constraint_costs
 from precompute.benchmarks.contact_bench import self_collision_cost
-from precompute.mechanics import FRAME_RATE
-from precompute.method_comparison.engines import EngineRun, bench_engines
+from precompute.experiment.engines import bench_engines
+from precompute.experiment.measures import FRAME_RATE
+from precompute.experiment.swinging_square import SquareRun, hanging_square, measure
 from precompute.reporting.html_page import Chart, Point, Section, Table, Text, write_page
 from precompute.reporting.tables import write_table
-from precompute.solver_scenes import SolverMeasurement, hanging_square, measure
 from runtime.report import machine_description
 
-__all__ = ["SolverRun", "SolverBench", "bench_rows", "bench_solver", "bench_verdict", "write_bench"]
+__all__ = ["SolverBench", "bench_rows", "bench_solver", "bench_verdict", "write_bench"]
 
 SIDES = (32, 64, 128)
 BUDGET_MS = {32: 0.5, 64: 2.5, 128: 15.0}  # wanted of one core of a server at 2.6 GHz
@@ -49,37 +49,17 @@ QUOTED = (
 
 
 @dataclass(frozen=True)
-class SolverRun:
-    """One setting on one square.
-
-    Attributes:
-        side: vertices along a side.
-        substeps: of a frame.
-        coarse_sweeps: as in :class:`pbd.SolverOptions`.
-        measured: the result.
-        passed: every limit held, see :meth:`precompute.solver_scenes.SolverMeasurement.passes`.
-    """
-
-    side: int
-    substeps: int
-    coarse_sweeps: int
-    measured: SolverMeasurement
-    passed: bool
-
-
-@dataclass(frozen=True)
 class SolverBench:
     """All runs, amplitudes of the refined runs by vertices a side [m], the cost of constraints [ns], other engines."""
 
-    runs: Sequence[SolverRun]
+    runs: Sequence[SquareRun]
     amplitudes: Mapping[int, float]
     costs: Mapping[str, float]
-    baselines: Sequence[EngineRun] = ()
+    baselines: Sequence[SquareRun] = ()
 
-    def cheapest(self, side: int) -> SolverRun | None:
+    def cheapest(self, side: int) -> SquareRun | None:
         """The cheapest setting that passes, None if none does."""
-        passing = [run for run in self.runs if run.side == side and run.passed]
-        return min(passing, key=lambda run: run.measured.frame_ms, default=None)
+        return _cheapest(self.runs, side)
 
     def figures(self) -> dict[str, float]:
         """``time_to_accuracy_ms_SIDE``, ``TYPE_constraint_ns`` and ``rival_NAME_ms_SIDE``.
@@ -97,6 +77,11 @@ class SolverBench:
         return {**found, **self.costs, **quoted, **measured}
 
 
+def _cheapest(runs: Sequence[SquareRun], side: int) -> SquareRun | None:
+    passing = [run for run in runs if run.side == side and run.passed]
+    return min(passing, key=lambda run: run.measured.frame_ms, default=None)
+
+
 def _plain(name: str) -> str:
     return "_".join(name.lower().replace(",", "").replace("-", " ").split())
 
@@ -112,7 +97,7 @@ def bench_solver(
     Args:
         sides: vertices along a side of the squares; None takes all.
         report: called with a line of progress.
-        with_baselines: measure other engines too, see :func:`precompute.method_comparison.engines.bench_engines`.
+        with_baselines: measure other engines too, see :func:`precompute.experiment.engines.bench_engines`.
 
     Raises:
         InputError: an engine that is not installed.
@@ -122,15 +107,15 @@ def bench_solver(
     costs = {**constraint_costs(), **self_collision_cost()}
     runs, amplitudes = [], {}
     for side in SIDES if sides is None else sides:
-        scene = hanging_square(side)
+        model, name = hanging_square(side), f"grid {side}x{side} hung by its corners"
         substeps, sweeps = REFINED[side]
-        report(f"{scene.name}: refined run, {substeps} substeps")
-        amplitudes[side] = measure(scene, _options(substeps, sweeps)).amplitude
+        report(f"{name}: refined run, {substeps} substeps")
+        amplitudes[side] = measure(model, _options(substeps, sweeps)).amplitude
         for sweeps, by_side in SETTINGS.items():
             for substeps in by_side[side]:
-                report(f"{scene.name}: {METHODS[sweeps]}, {substeps} substeps")
-                found = measure(scene, _options(substeps, sweeps))
-                runs.append(SolverRun(side, substeps, sweeps, found, found.passes(amplitudes[side])))
+                report(f"{name}: {METHODS[sweeps]}, {substeps} substeps")
+                found = measure(model, _options(substeps, sweeps))
+                runs.append(SquareRun(METHODS[sweeps], side, substeps, found, found.passes(amplitudes[side])))
     return SolverBench(runs, amplitudes, costs, baselines)
 
 
@@ -140,35 +125,24 @@ def _options(substeps: int, sweeps: int) -> SolverOptions:
 
 def bench_rows(bench: SolverBench) -> list[dict[str, Any]]:
     """One row per run."""
-    return [
-        {
-            "method": METHODS[run.coarse_sweeps],
-            "side": run.side,
-            "substeps": run.substeps,
-            "frame_ms": run.measured.frame_ms,
-            "frame_over_distance_constraint": run.measured.frame_ms * 1e6 / bench.costs["distance_constraint_ns"],
-            "mean_stretch": run.measured.mean,
-            "p99_stretch": run.measured.p99,
-            "worst_stretch": run.measured.worst,
-            "amplitude_ratio": run.measured.amplitude / bench.amplitudes[run.side],
-            "passed": run.passed,
-        }
-        for run in bench.runs
-    ] + [
-        {
-            "method": f"{run.name} ({run.setting})",
-            "side": run.side,
-            "frame_ms": run.measured.frame_ms,
-            "frame_over_distance_constraint": run.measured.frame_ms * 1e6 / bench.costs["distance_constraint_ns"],
-            "mean_stretch": run.measured.mean,
-            "p99_stretch": run.measured.p99,
-            "worst_stretch": run.measured.worst,
-            "amplitude_ratio": run.measured.amplitude / bench.amplitudes[run.side],
-            "passed": run.passed,
-        }
-        for run in bench.baselines
-        if run.side in bench.amplitudes
-    ]
+    others = [run for run in bench.baselines if run.side in bench.amplitudes]
+    return [_row(bench, run) for run in [*bench.runs, *others]]
+
+
+def _row(bench: SolverBench, run: SquareRun) -> dict[str, Any]:
+    ours, found = isinstance(run.setting, int), run.measured
+    return {
+        "method": run.name if ours else f"{run.name} ({run.setting})",
+        "side": run.side,
+        **({"substeps": run.setting} if ours else {}),
+        "frame_ms": found.frame_ms,
+        "frame_over_distance_constraint": found.frame_ms * 1e6 / bench.costs["distance_constraint_ns"],
+        "mean_stretch": found.mean,
+        "p99_stretch": found.p99,
+        "worst_stretch": found.worst,
+        "amplitude_ratio": found.amplitude / bench.amplitudes[run.side],
+        "passed": run.passed,
+    }
 
 
 def bench_verdict(bench: SolverBench) -> str:
@@ -176,9 +150,8 @@ def bench_verdict(bench: SolverBench) -> str:
     lines = []
     for side in bench.amplitudes:
         best = bench.cheapest(side)
-        measured = [run for run in bench.baselines if run.side == side and run.passed]
-        if measured:
-            first = min(measured, key=lambda run: run.measured.frame_ms)
+        first = _cheapest(bench.baselines, side)
+        if first:
             kept = first.measured.amplitude / bench.amplitudes[side]
             others = f"measured: {first.name}, {first.measured.frame_ms:.3g} ms with {100 * kept:.0f} % of the swing"
         else:
@@ -187,7 +160,7 @@ def bench_verdict(bench: SolverBench) -> str:
         ours = "no setting passes"
         if best:
             ours = (
-                f"{best.measured.frame_ms:.2f} ms a frame ({METHODS[best.coarse_sweeps]}, {best.substeps} substeps; "
+                f"{best.measured.frame_ms:.2f} ms a frame ({best.name}, {best.setting} substeps; "
                 f"wanted {BUDGET_MS[side]} on a core of 2.6 GHz)"
             )
         lines.append(f"{side}x{side}: {ours}; cheapest {others}.")
@@ -212,22 +185,12 @@ def write_bench(folder: Path, bench: SolverBench) -> None:
 
 
 def _chart(bench: SolverBench, side: int) -> Chart:
-    points = [
-        Point(
-            run.measured.frame_ms,
-            run.measured.worst,
-            METHODS[run.coarse_sweeps],
-            f"{run.substeps}",
-            {key: value for key, value in row.items() if key not in ("method", "frame_ms", "worst_stretch")},
-        )
-        for run, row in zip(bench.runs, bench_rows(bench), strict=False)  # baselines follow
-        if run.side == side and run.measured.worst < 10.0
-    ]
-    points += [
-        Point(run.measured.frame_ms, run.measured.worst, run.name, run.setting, {})
-        for run in bench.baselines
-        if run.side == side and run.measured.worst < 10.0
-    ]
+    points = []
+    for run in [*bench.runs, *bench.baselines]:
+        if run.side == side and run.measured.worst < 10.0:
+            row = _row(bench, run) if isinstance(run.setting, int) else {}
+            settings = {key: row[key] for key in row if key not in ("method", "frame_ms", "worst_stretch")}
+            points.append(Point(run.measured.frame_ms, run.measured.worst, run.name, str(run.setting), settings))
     points += [Point(ms, worst, name, "", {"source": SOURCE}, True) for name, of, ms, worst in QUOTED if of == side]
     return Chart(
         points,

@@ -9,14 +9,13 @@ from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from assets.fabrics import fitted_tension
 from assets.text import read_words
 from pbd import Fabric
 from pbd.errors import InputError
 from pbd.fabric import stiffening_stress
-from precompute.reporting.cost_charts import write_png
+from precompute.reporting.cost_charts import panels, write_png
 from precompute.validation.laboratory import (
     DIRECTIONS,
     LoadCurve,
@@ -252,15 +251,10 @@ def _pressed(curve: LoadCurve, fabric: Fabric) -> Fabric:
 
 def draw_fit(path: Path, found: Sequence[FittedCurve]) -> None:
     """Draw measured and fitted curves side by side, one panel each, as PNG."""
-    columns = min(len(found), 4)
-    rows = -(-len(found) // columns)
-    figure = Figure(figsize=(4.2 * columns, 3.6 * rows), layout="constrained")
     labels = {"tension": ("strain", "N/m"), "shear": ("shear [rad]", "N/m"), "bending": ("curvature [1/m]", "N")}
     labels |= {"compression": ("thickness [m]", "Pa"), "bending_loop": labels["bending"], "shear_loop": labels["shear"]}
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    for panel in panels[len(found) :]:
-        panel.set_axis_off()
-    for panel, curve in zip(panels, found, strict=False):
+    figure, places = panels(len(found))
+    for panel, curve in zip(places, found, strict=True):
         looped = curve.instrument in LOOPS
         through_zero = curve.instrument != "compression" and not looped
         line = np.pad(np.stack([curve.fitted.deformation, curve.fitted.load]), ((0, 0), (int(through_zero), 0)))

@@ -6,7 +6,6 @@ from the colliders' surfaces.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -23,17 +22,24 @@ from pbd import (
     State,
     build_model,
 )
-from pbd.models.newton import StepError
 from pbd.models.registry import AnySolver, make_solver
 from pbd.models.stepping import Options
-from precompute.mechanics import FRAME_RATE, GRAVITY, mechanical_energy, signed_distance
-from precompute.method_comparison.error_classes import (
+from precompute.experiment.error_classes import (
     LIMITS,
     START,
     ErrorClass,
     Recorded,
     classify,
     deviations,
+)
+from precompute.experiment.measures import (
+    FRAME_RATE,
+    GRAVITY,
+    TimedSteps,
+    deepest,
+    edge_strain,
+    mechanical_energy,
+    typical_ms,
 )
 
 __all__ = ["MAX_RUN_S", "FailureOutcome", "FailureScene", "FrameConditions", "play"]
@@ -124,7 +130,7 @@ class FailureOutcome:
     """How a scene ended.
 
     Attributes:
-        figures: by the names of :data:`precompute.method_comparison.error_classes.LIMITS`.
+        figures: by the names of :data:`precompute.experiment.error_classes.LIMITS`.
         recovered_s: from the end of the disturbance to the last instant that is not acceptable [s]; infinite if that
             is the run's end.
         frame_ms: processor time of a frame, median [ms].
@@ -142,6 +148,10 @@ class FailureOutcome:
         classes = classify(self.figures)
         name = max(classes, key=lambda key: (classes[key], self.figures[key] / max(LIMITS[key][0], 1e-3)))
         return classes[name], name
+
+    def cut(self, reached: float, seconds: float) -> FailureOutcome:
+        """The same of a run that was so slow that it is judged up to a moment before its end [s]."""
+        return replace(self, note=f"{self.worst[1]} (judged up to {reached:.2g} of {seconds:g} s: slow)")
 
 
 def solver_for(scene: FailureScene, name: str, model: Model) -> AnySolver:
@@ -164,39 +174,39 @@ def play(scene: FailureScene, solver: str = "default") -> FailureOutcome:
     stage = FrameConditions(
         0.0, 1.0 / FRAME_RATE, state.world()[model.held], (0.0, 0.0, 0.0), scene.colliders(), scene.fabric
     )
-    stepper = solver_for(scene, solver, model)
-    times: list[float] = []
+    frame = TimedSteps(_frame_of(scene, solver, model))
     seen: list[tuple[float, np.ndarray, np.ndarray, float]] = []
-    note = ""
-    while stage.time < scene.seconds - 1e-9:
+    finite = True
+    while stage.time < scene.seconds - 1e-9 and finite and not sum(frame.times[1:]) > MAX_RUN_S:
         before = stage.fabric
         scene.direct(stage)
         if stage.fabric is not before:
             model = scene.model(stage.fabric)
-            stepper = solver_for(scene, solver, model)
-        begin = time.process_time()
-        try:
-            stepper.follow(state, stage.colliders)
-            stepper.step(state, stage.colliders, stage.dt, stage.targets, stage.wind)
-        except StepError as error:
-            note = error.problem
+            frame.step = _frame_of(scene, solver, model)
+        if not frame(state, stage):
             break
-        times.append(time.process_time() - begin)
         stage.time += max(stage.dt, 1e-4)  # a frame without time passes all the same
         x = state.world()
-        if not (np.isfinite(x).all() and np.isfinite(state.velocity).all()):
-            note = "not finite"
-            break
-        seen.append((stage.time, x, state.velocity.astype(float), _depth(scene, stage, x)))
-        if sum(times[1:]) > MAX_RUN_S:
-            break
+        finite = bool(np.isfinite(x).all() and np.isfinite(state.velocity).all())
+        seen.append((stage.time, x, state.velocity.astype(float), _depth(scene, stage, x) if finite else np.inf))
+    note = frame.problem if finite else "not finite"
+    frame_ms = typical_ms(frame.times, np.inf)
     if note or not seen:
-        return FailureOutcome({"not_finite": 1.0}, np.inf, 1e3 * float(np.median(times or [np.inf])), note)
+        return FailureOutcome({"not_finite": 1.0}, np.inf, frame_ms, note)
     cut = stage.time < scene.seconds - 1e-9
-    outcome = _judged(replace(scene, at_rest=scene.at_rest and not cut), model, seen, 1e3 * float(np.median(times)))
-    if cut:
-        return replace(outcome, note=f"{outcome.worst[1]} (judged up to {stage.time:.2g} of {scene.seconds:g} s: slow)")
-    return outcome
+    outcome = _judged(replace(scene, at_rest=scene.at_rest and not cut), model, seen, frame_ms)
+    return outcome.cut(stage.time, scene.seconds) if cut else outcome
+
+
+def _frame_of(scene: FailureScene, name: str, model: Model) -> Callable[[State, FrameConditions], None]:
+    """A function that makes a frame with a solver."""
+    solver = solver_for(scene, name, model)
+
+    def frame(state: State, stage: FrameConditions) -> None:
+        solver.follow(state, stage.colliders)
+        solver.step(state, stage.colliders, stage.dt, stage.targets, stage.wind)
+
+    return frame
 
 
 def _depth(scene: FailureScene, stage: FrameConditions, x: np.ndarray) -> float:
@@ -205,10 +215,7 @@ def _depth(scene: FailureScene, stage: FrameConditions, x: np.ndarray) -> float:
         return 0.0
     if scene.through is not None and scene.through(x):
         return THROUGH_DEPTH * stage.fabric.thickness
-    deepest = 0.0
-    for primitive in stage.colliders.primitives:
-        deepest = max(deepest, float(-signed_distance(primitive, x).min()))
-    return deepest
+    return float(deepest(stage.colliders.primitives, x[None])[0])
 
 
 def _judged(scene: FailureScene, model: Model, seen: Sequence[tuple], frame_ms: float) -> FailureOutcome:
@@ -225,7 +232,7 @@ def _judged(scene: FailureScene, model: Model, seen: Sequence[tuple], frame_ms: 
     run = Recorded(position, velocity, dt, energy, depth, scene.at_rest)
     thickness = model.fabric.thickness
     figures = deviations(run, rest, edges, rest_lengths, thickness, scene.speed, chaotic=True)
-    strain = np.linalg.norm(position[:, edges[:, 1]] - position[:, edges[:, 0]], axis=2) / rest_lengths - 1.0
+    strain = edge_strain(position, edges, rest_lengths)
     # Coarse cloth may shorten instead of buckling, but must not be longer than it is.
     # A gust or a blow stretches any cloth: only when it has been over for a second is the length a mistake.
     judged = moments >= min(max(START, scene.quiet + 1.0 if scene.quiet else 0.0), moments[-1])

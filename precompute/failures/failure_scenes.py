@@ -11,26 +11,14 @@ import trimesh
 from pbd import Body, Capsule, ClothMesh, Colliders, Fabric, Model, ModelOptions, Plane, Sphere, build_model
 from pbd.crossings import crossings
 from pbd.layers import layered
-from pbd.mesh import lattice_faces
+from precompute.experiment.measures import FRAME_RATE, GRAVITY
+from precompute.experiment.sheets import band, square, tube
 from precompute.failures.failure_play import FailureScene, FrameConditions
-from precompute.mechanics import FRAME_RATE, GRAVITY
 
-__all__ = ["HUNG", "scenes", "square"]
+__all__ = ["HUNG", "scenes"]
 
 COTTON = Fabric(friction=0.5)
 VACUUM = replace(COTTON, air_drag=0.0)
-
-
-def square(edges: int, size: float = 0.5, *, upright: bool = True) -> ClothMesh:
-    """Square with alternating diagonals, its upper side at the origin's height, or level, in the middle."""
-    step = size / edges
-    along, up = (part.ravel() for part in np.meshgrid(*2 * [np.arange(edges + 1.0)], indexing="ij"))
-    index = np.arange((edges + 1) ** 2).reshape(edges + 1, edges + 1)
-    faces = lattice_faces(index)
-    flat = [step * along - size / 2, step * (up - edges), 0.0 * up]
-    if not upright:
-        flat = [flat[0], 0.0 * up, -size / 2 - flat[1]]
-    return ClothMesh.from_surface(np.stack(flat, axis=1), faces, warp=(1.0, 0.0, 0.0))
 
 
 def _corners(edges: int) -> list[int]:
@@ -39,28 +27,6 @@ def _corners(edges: int) -> list[int]:
 
 
 HUNG = (square(10), _corners(10))  # 5 cm edges
-
-
-def _strip(length: float, width: float, edges: int) -> tuple[ClothMesh, np.ndarray]:
-    """Strip down from the origin, and the row of each vertex."""
-    across = max(2, round(edges * width / length))
-    rows, columns = (part.ravel() for part in np.meshgrid(np.arange(edges + 1), np.arange(across + 1), indexing="ij"))
-    index = np.arange(len(rows)).reshape(edges + 1, across + 1)
-    faces = lattice_faces(index, alternating=False)
-    vertices = np.stack([width * (columns / across - 0.5), -length * rows / edges, 0.0 * rows], axis=1)
-    return ClothMesh.from_surface(vertices, faces, warp=(0.0, 1.0, 0.0)), rows
-
-
-def _tube(radius: float, height: float, around: int, edges: int) -> tuple[ClothMesh, list[int]]:
-    """Sleeve about the y axis, down from the origin, and its upper ring."""
-    turn, row = (part.ravel() for part in np.meshgrid(np.arange(around), np.arange(edges + 1), indexing="ij"))
-    index = np.arange(around * (edges + 1)).reshape(around, edges + 1)
-    following = np.roll(index, -1, axis=0)
-    a, b, c, d = (part.ravel() for part in (index[:, :-1], index[:, 1:], following[:, 1:], following[:, :-1]))
-    faces = np.stack([a, c, b, a, d, c], axis=1).reshape(-1, 3)
-    angle = 2.0 * np.pi * turn / around
-    vertices = np.stack([radius * np.cos(angle), -height * row / edges, radius * np.sin(angle)], axis=1)
-    return ClothMesh.from_surface(vertices, faces), np.flatnonzero(row == 0).tolist()
 
 
 def _crossed(mesh: ClothMesh) -> Callable[[np.ndarray], bool]:
@@ -125,8 +91,8 @@ def _contact() -> list[FailureScene]:
     level, hung = square(8, 0.4, upright=False), HUNG
     thickness = COTTON.thickness
     lying = level.vertices - np.outer(level.vertices @ slope - thickness, slope)
-    tube, ring = _tube(0.099, 0.3, 16, 8)
-    wide = tube.vertices * [1.045, 1.0, 1.045]
+    sleeve, ring = tube(0.099, 0.3, 16, 8)
+    wide = sleeve.vertices * [1.045, 1.0, 1.045]
     thin = replace(COTTON, thickness=0.001)
     ball = trimesh.creation.icosphere(3, 0.15)
     folded, curtain = square(16, 0.6, upright=False), square(16, 0.8)
@@ -149,9 +115,9 @@ def _contact() -> list[FailureScene]:
               start=folded.vertices + [0.0, 0.16, 0.0], seconds=3.0, self_collision=True, default_only=True,
               colliders=lambda: Colliders([Sphere((0.0, 0.0, 0.0), 0.15)]), quiet=0.5,
               through=_crossed(folded)),
-        FailureScene("tight garment jitter", "sleeve 4 % too small on an arm", tube, replace(COTTON, stretch_warp=500.0,
-              stretch_weft=500.0, shear=100.0), ring, start=wide, seconds=3.0, at_rest=True,
-              colliders=lambda: Colliders([Capsule((0.0, 0.2, 0.0), (0.0, -0.6, 0.0), 0.1)])),
+        FailureScene("tight garment jitter", "sleeve 4 % too small on an arm", sleeve,
+              replace(COTTON, stretch_warp=500.0, stretch_weft=500.0, shear=100.0), ring, start=wide, at_rest=True,
+              seconds=3.0, colliders=lambda: Colliders([Capsule((0.0, 0.2, 0.0), (0.0, -0.6, 0.0), 0.1)])),
         FailureScene("thin layers stacked", "three sheets of 1 mm on the ground", _stack(thin).mesh, thin, build=_stack,
               seconds=3.0, default_only=True, colliders=lambda: Colliders([Plane((0.0, -0.01, 0.0))]), quiet=0.5,
               through=_crossed(_stack(thin).mesh), at_rest=True),
@@ -170,11 +136,11 @@ def _contact() -> list[FailureScene]:
               level, COTTON, start=level.vertices + [0.01, 0.1, 0.02], quiet=1.0, seconds=2.5, default_only=True,
               colliders=lambda: Colliders((), _body(np.array(ball.vertices), ball.faces)),
               through=lambda x: bool((np.linalg.norm(x, axis=1) < 0.147).any())),
-        FailureScene("teleport and dash of the body", "body and cloth 3 m away in one frame", tube, COTTON, ring,
+        FailureScene("teleport and dash of the body", "body and cloth 3 m away in one frame", sleeve, COTTON, ring,
               start=wide, seconds=3.0, direct=_teleport, speed=3.0 * FRAME_RATE, quiet=1.0,
               colliders=lambda: Colliders([Capsule((0.0, 0.2, 0.0), (0.0, -0.6, 0.0), 0.08)])),
         FailureScene("teleport and dash of the body", "body dashes at 15 m/s for a third of a second",
-              tube, COTTON, ring, start=wide, seconds=3.0, direct=_dash, speed=15.0, quiet=1.0,
+              sleeve, COTTON, ring, start=wide, seconds=3.0, direct=_dash, speed=15.0, quiet=1.0,
               colliders=lambda: Colliders([Capsule((0.0, 0.2, 0.0), (0.0, -0.6, 0.0), 0.08)])),
     ]  # fmt: skip
 
@@ -239,7 +205,7 @@ def _dash(stage: FrameConditions) -> None:
 
 
 def _shape() -> list[FailureScene]:
-    strip, rows = _strip(0.5, 0.1, 20)
+    strip, rows = band(0.5, 0.1, 20)
     ends = np.flatnonzero((rows == 0) | (rows == 20)).tolist()
     top = np.flatnonzero(rows == 0).tolist()
     stiff = replace(COTTON, bend_warp=1e-3, bend_weft=1e-3)
@@ -247,7 +213,7 @@ def _shape() -> list[FailureScene]:
     zigzag = strip.vertices * [1.0, np.cos(lean), 1.0] + np.stack(
         [0 * rows, 0 * rows, 0.025 * np.sin(lean) * (rows % 2)], 1
     )
-    tube, ring = _tube(0.05, 0.3, 12, 8)
+    sleeve, ring = tube(0.05, 0.3, 12, 8)
     hung, corners = HUNG
     doubled = hung.vertices.copy()
     doubled[:, 0] = -np.abs(doubled[:, 0])
@@ -268,7 +234,7 @@ def _shape() -> list[FailureScene]:
         FailureScene("a strip twisted many turns", "six turns in three seconds", strip, COTTON, ends, seconds=4.5,
               direct=twist, quiet=3.0, speed=0.7),
         FailureScene("large bend angles", "stiff strip starts in pleats of 150 deg", strip, stiff, top, start=zigzag),
-        FailureScene("nonzero rest angles", "sleeve of stiff cloth, 30 deg an edge", tube, stiff, ring, seconds=3.0,
+        FailureScene("nonzero rest angles", "sleeve of stiff cloth, 30 deg an edge", sleeve, stiff, ring, seconds=3.0,
               at_rest=True),
         FailureScene("compressed or inverted triangles", "ten times compressed",
               hung, COTTON, start=0.1 * hung.vertices),

@@ -9,10 +9,10 @@ from typing import Any
 
 from pbd import InputError
 from pbd.models import SOLVERS
-from precompute.failures.failure_comparisons import comparisons
+from precompute.experiment.error_classes import ErrorClass
+from precompute.failures.failure_comparisons import Case, comparisons
 from precompute.failures.failure_play import FailureOutcome, play
 from precompute.failures.failure_scenes import scenes
-from precompute.method_comparison.error_classes import ErrorClass
 from precompute.reporting.tables import write_table
 from precompute.workers import Workers, run_jobs
 
@@ -48,20 +48,20 @@ def failure_rows(
     _check(solver)
     rows = []
     for wanted in _lines() if lines is None else lines:
-        for scene in scenes():
-            if scene.line == wanted and (solver == "default" or not scene.default_only):
-                report(f"{solver}: {scene.name}")
-                rows.append(_row(wanted, scene.name, solver, play(scene, solver)))
-        for line, name, default_only, run in comparisons():
+        for line, name, default_only, run in _cases():
             if line == wanted and (solver == "default" or not default_only):
                 report(f"{solver}: {name}")
-                rows.append(_row(wanted, name, solver, run(solver)))
+                rows.append(_row(line, name, solver, run(solver)))
     return rows
+
+
+def _cases() -> list[Case]:
+    return [*((one.line, one.name, one.default_only, partial(play, one)) for one in scenes()), *comparisons()]
 
 
 def _lines() -> list[str]:
     """All lines of the list, in order."""
-    return list(dict.fromkeys([*(scene.line for scene in scenes()), *(row[0] for row in comparisons())]))
+    return list(dict.fromkeys(line for line, *_ in _cases()))
 
 
 def all_failure_rows(

@@ -6,7 +6,6 @@ such a square is quoted in :data:`QUOTED`.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,10 +13,9 @@ from typing import Any
 import numpy as np
 
 from pbd import Colliders, Fabric, InputError, State, build_model
-from pbd.models.newton import StepError
 from pbd.models.registry import make_solver
-from precompute.mechanics import FRAME_RATE
-from precompute.solver_scenes import STIFF, hanging_square
+from precompute.experiment.measures import FRAME_RATE, TimedSteps, elongation, typical_ms
+from precompute.experiment.swinging_square import STIFF, hanging_square
 
 __all__ = ["QUOTED", "RUNS", "StressRun", "stress_figures", "stress_rows", "stress_text"]
 
@@ -140,45 +138,32 @@ def stress_text(rows: Sequence[Mapping[str, Any]]) -> str:
 def _row(run: StressRun, solver: str, seconds: float) -> dict[str, Any]:
     ends = [_end(run, solver, seconds, seed) for seed in range(run.starts)]
     worst = float(np.median([stretch for stretch, _ in ends]))
-    times = [time for _, times in ends for time in times]
     verdict = "ok" if worst <= MOST_STRETCH else "stretched"
     return {
         "run": run.name,
         "solver": solver,
         "verdict": verdict if np.isfinite([stretch for stretch, _ in ends]).all() else "exploded",
         "worst_stretch": worst,
-        "frame_ms": 1e3 * float(np.median(times)) if times else np.inf,
+        "frame_ms": typical_ms([time for _, times in ends for time in times], np.inf),
         "budget_ms": 1e3 * BUDGET * run.dt,
     }
 
 
 def _end(run: StressRun, solver: str, seconds: float, seed: int) -> tuple[float, list[float]]:
     """Stretch of the worst face over the last second [-], infinite if the cloth exploded, and times of frames [s]."""
-    square = hanging_square(SIDE).model
+    square = hanging_square(SIDE)
     model = build_model(square.mesh, run.fabric, square.held, bend_factor=1 / 3)
-    stretch, times = [], []
     nudge = NUDGE * np.random.default_rng(seed).standard_normal(square.mesh.vertices.shape) if seed else 0.0
     state, colliders = State.at_rest(model, run.start(square.mesh.vertices) + nudge), Colliders()
     targets, inverse_flat = state.world()[model.held], np.linalg.inv(model.mesh.flat)
-    stepper = make_solver(solver, model)
-    try:
-        stepper.step(state.copy(), colliders, run.dt)  # compiles
-        for frame in range(round(seconds / run.dt)):
-            if run.jumps and frame == round(1.0 / run.dt):
-                targets[0] = [0.0, 0.0, np.sin(np.pi / 3)]
-            begin = time.process_time()
-            stepper.step(state, colliders, run.dt, targets)
-            times.append(time.process_time() - begin)
-            if not np.abs(state.world()).max() < FURTHEST:
-                return np.inf, times
-            stretch.append(_worst_stretch(model.mesh.faces, inverse_flat, state.world()))
-    except StepError:
-        return np.inf, times
-    return float(np.median(stretch[-round(1.0 / run.dt) :])), times
-
-
-def _worst_stretch(faces: np.ndarray, inverse_flat: np.ndarray, x: np.ndarray) -> float:
-    """Largest elongation of a face along warp or weft [-]."""
-    corners = x[faces]
-    sides = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
-    return float(np.linalg.norm(sides @ inverse_flat, axis=1).max()) - 1.0
+    stretch, frame = [], TimedSteps(make_solver(solver, model).step)
+    if not frame(state.copy(), colliders, run.dt):
+        return np.inf, []
+    frame.times.clear()  # it compiled
+    for number in range(round(seconds / run.dt)):
+        if run.jumps and number == round(1.0 / run.dt):
+            targets[0] = [0.0, 0.0, np.sin(np.pi / 3)]
+        if not frame(state, colliders, run.dt, targets) or not np.abs(state.world()).max() < FURTHEST:
+            return np.inf, frame.times
+        stretch.append(float(elongation(state.world(), model.mesh.faces, inverse_flat).max()) - 1.0)
+    return float(np.median(stretch[-round(1.0 / run.dt) :])), frame.times

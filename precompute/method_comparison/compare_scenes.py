@@ -16,11 +16,11 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from assets.fabrics import PRESETS
-from pbd import ClothMesh, Colliders, InputError, Model, ModelOptions, Plane, Sphere, build_model
-from pbd.bending import hinge_calibration
+from pbd import ClothMesh, Colliders, InputError, Model, Plane, Sphere
 from pbd.fabric import Fabric
 from pbd.mesh import lattice_faces
-from precompute.mechanics import FRAME_RATE
+from precompute.experiment.measures import FRAME_RATE
+from precompute.experiment.sheets import hinge_factor, level, tilted, untethered
 
 __all__ = ["SCENES", "CompareScene", "Sheet", "scene_of"]
 
@@ -79,11 +79,7 @@ class Sheet:
 
 
 def _still(t: float) -> np.ndarray:
-    return np.zeros(3)
-
-
-def _no_colliders() -> list[Plane | Sphere]:
-    return []
+    return np.zeros(3)  # a function by name, as other processes need it
 
 
 @dataclass(frozen=True)
@@ -116,7 +112,7 @@ class CompareScene:
     place: Callable[[np.ndarray], np.ndarray]
     held: Callable[[np.ndarray], np.ndarray]
     rail: Callable[[float], np.ndarray] = _still
-    colliders: Callable[[], list[Plane | Sphere]] = _no_colliders
+    colliders: Callable[[], list[Plane | Sphere]] = list
     clamped: bool = False
     edges: tuple[int, ...] = (8, 16, 32)
     samples: int = 32
@@ -159,7 +155,7 @@ class CompareScene:
         """Without tethers, which are no part of the fabric's physics."""
         mesh = self.mesh(edges, seed)
         held = np.flatnonzero(self.held(self.sheet(edges).flat))
-        return build_model(mesh, self.fabric, held, options=ModelOptions(tether_slack=0.0), bend_factor=_bend_factor())
+        return untethered(mesh, self.fabric, held, bend_factor=_bend_factor())
 
     def scene_colliders(self) -> Colliders:
         """New ones each time: colliders remember where they were."""
@@ -170,18 +166,12 @@ class CompareScene:
 def _bend_factor() -> float:
     """Hinge factor of this kind of mesh, measured once on a large sheet."""
     sheet = Sheet.of(1.0, 1.0, 30)
-    flat = sheet.flat
-    return hinge_calibration(ClothMesh.from_pattern(np.insert(flat, 2, 0.0, axis=1), sheet.faces, flat[sheet.faces]))
+    return hinge_factor(sheet.flat, sheet.faces)
 
 
 def _hanging(flat: np.ndarray) -> np.ndarray:
     """Tilted about its upper side, x from there on."""
-    angle = math.radians(TILT)
-    return np.stack([flat[:, 1], -flat[:, 0] * math.cos(angle), flat[:, 0] * math.sin(angle)], axis=1)
-
-
-def _level(flat: np.ndarray) -> np.ndarray:
-    return np.stack([flat[:, 0], np.zeros(len(flat)), -flat[:, 1]], axis=1)
+    return tilted(flat[:, 1], -flat[:, 0], TILT)
 
 
 def _above_ball(flat: np.ndarray) -> np.ndarray:
@@ -227,7 +217,7 @@ _ALL = (
         "swing", "a sheet tilted by 45 deg swings from its upper side", True, 1.5, _COTTON, (1.0, 0.5), _hanging, _upper
     ),
     CompareScene(
-        "cantilever", "a strip of felt clamped level is let go", True, 1.0, FELT, (0.3, 0.1), _level, _upper,
+        "cantilever", "a strip of felt clamped level is let go", True, 1.0, FELT, (0.3, 0.1), level, _upper,
         clamped=True, edges=(6, 12, 24), samples=24, moment=0.5,
     ),
     CompareScene(

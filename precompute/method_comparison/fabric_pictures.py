@@ -15,8 +15,8 @@ from assets.io.body_settings import MotionSettings
 from assets.io.scene import load_scene
 from pbd import Fabric, ModelOptions
 from precompute.demo_run import FULL
+from precompute.experiment.measures import FRAME_RATE
 from precompute.learning.run_recording import Run, record_runs
-from precompute.mechanics import FRAME_RATE
 from runtime.garment_setup import GarmentSetup, fine_options
 from runtime.picture_content import Drawn, frame_camera
 from runtime.pictures import render, strip
@@ -32,13 +32,10 @@ MOMENTS = (0.7, 2.2)  # it stands, it turns [s]
 PICTURE = (460, 420)
 
 
-def fabric_runs(
-    fabrics: dict[str, Fabric] | None = None, *, subdivisions: int = 2, seconds: float = SECONDS
-) -> list[Run]:
+def fabric_runs(*, subdivisions: int = 2, seconds: float = SECONDS) -> list[Run]:
     """The fine skirt of the demo in each fabric on the same motion.
 
     Args:
-        fabrics: by name; those of ``FABRICS`` if None.
         subdivisions: of the skirt's mesh.
         seconds: of the motion.
     """
@@ -57,7 +54,7 @@ def fabric_runs(
         options=ModelOptions(),
         solver=solver,
     )
-    return [make(name=name, fabric=fabric) for name, fabric in (fabrics or FABRICS).items()]
+    return [make(name=name, fabric=fabric) for name, fabric in FABRICS.items()]
 
 
 def draw_fabrics(

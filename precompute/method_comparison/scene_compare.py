@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from pbd import InputError
+from precompute.experiment.error_classes import ErrorClass
 from precompute.method_comparison.compare_scenes import SCENES, CompareScene, scene_of
-from precompute.method_comparison.error_classes import ErrorClass
 from precompute.method_comparison.scene_judging import Judge, Judgement, reference_settings
 from precompute.method_comparison.scene_runs import (
     MethodSetting,

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pbd import ClothMesh
-from precompute.mechanics import FRAME_RATE
+from precompute.experiment.error_classes import START, ErrorClass, Recorded, classify, deviations
+from precompute.experiment.measures import FRAME_RATE
 from precompute.method_comparison.compare_scenes import CompareScene
-from precompute.method_comparison.error_classes import START, ErrorClass, Recorded, classify, deviations
 from precompute.method_comparison.scene_runs import MethodSetting, SceneRun
 from wrinkles.mesh_measures import PIXELS_PER_METRE, bending_energy, fold_count, jitter_px
 from wrinkles.spectrum import BandedEnergy
@@ -29,7 +29,7 @@ class Judgement:
 
     Attributes:
         error: distance to the reference, p95 [px], or of statistics [octaves]; infinite where the run ended early.
-        figures: by name; see :func:`~precompute.method_comparison.error_classes.deviations` and
+        figures: by name; see :func:`~precompute.experiment.error_classes.deviations` and
             :meth:`Judge.statistics`.
         worst: class of the worst figure.
         because: the figure that makes it so.

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from pbd import Plane, Sphere
-from precompute.mechanics import FRAME_RATE
+from precompute.experiment.error_classes import ErrorClass
+from precompute.experiment.measures import FRAME_RATE
 from precompute.method_comparison.compare_scenes import CompareScene
-from precompute.method_comparison.error_classes import ErrorClass
 from precompute.method_comparison.fabric_pictures import FABRICS, draw_fabrics, fabric_runs
 from precompute.method_comparison.scene_compare import ComparedRun, SceneComparison
 from precompute.method_comparison.scene_judging import screen_mm

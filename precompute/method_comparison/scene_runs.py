@@ -15,16 +15,16 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 import pbd
-from pbd import Colliders, InputError, Model, State
+from pbd import InputError, Model, State
 from pbd.fingerprint import source_fingerprint
 from pbd.models import SOLVERS, AnySolver, Options, StepError, make_solver
 from pbd.storage import replacing
-from precompute import mechanics
-from precompute.mechanics import FRAME_RATE, mechanical_energy, signed_distance
+from precompute import experiment
+from precompute.experiment.engines import ENGINES, start_engine
+from precompute.experiment.error_classes import START
+from precompute.experiment.measures import FRAME_RATE, TimedSteps, deepest, edge_strain, mechanical_energy
 from precompute.method_comparison import compare_scenes
 from precompute.method_comparison.compare_scenes import CompareScene
-from precompute.method_comparison.error_classes import START
-from precompute.method_comparison.scene_baselines import BASELINES, start_baseline
 
 __all__ = ["SceneRun", "MethodSetting", "parse_setting", "read_run", "run_path", "run_setting"]
 
@@ -36,7 +36,7 @@ class MethodSetting:
     """A method and how it is set.
 
     Attributes:
-        method: name in :data:`pbd.models.SOLVERS` or :data:`precompute.method_comparison.scene_baselines.BASELINES`.
+        method: name in :data:`pbd.models.SOLVERS` or :data:`precompute.experiment.engines.ENGINES`.
         edges: along the length of the cloth.
         substeps: of a frame of 1/60 s; None takes the method's own (explicit ones ask the mesh).
         iterations: passes or Newton steps of a substep at most; None takes the method's own.
@@ -68,7 +68,7 @@ class MethodSetting:
     @property
     def baseline(self) -> bool:
         """Whether it is another engine."""
-        return self.method in BASELINES
+        return self.method in ENGINES
 
     def solver(self, model: Model) -> AnySolver:
         """The solver for a model; raises :class:`pbd.InputError` where it cannot take the mesh."""
@@ -85,8 +85,8 @@ def parse_setting(text: str) -> tuple[str, tuple[int | None, ...]]:
         InputError: no such method, or bad numbers.
     """
     name, sign, numbers = text.strip().partition("@")
-    if name not in SOLVERS and name not in BASELINES:
-        expected = ", ".join([*SOLVERS, *BASELINES])
+    if name not in SOLVERS and name not in ENGINES:
+        expected = ", ".join([*SOLVERS, *ENGINES])
         raise InputError("no such method", key="--methods", received=name, expected=expected)
     parts = numbers.split("x") if sign else []
     if any(not part.isdecimal() or int(part) > 10_000 for part in parts) or len(parts) > 3 or (sign and not parts):
@@ -150,22 +150,20 @@ def run_setting(scene: CompareScene, setting: MethodSetting, limit_s: float = np
     model = scene.model(setting.edges, setting.seed)
     stepped = _baseline(scene, model, setting) if setting.baseline else _ours(scene, model, setting)
     setup_s = time.process_time() - began
-    frames, times, problem, gave_up = [], [], "", False
+    frames, gave_up, problem = [], False, ""
+    steps = TimedSteps(lambda frame: frames.append(stepped(frame)), (StepError, InputError))
     for frame in range(1, scene.frame_count + 1):
-        begin = time.process_time()
-        try:
-            frames.append(stepped(frame))
-        except (StepError, InputError) as error:  # a state that is no longer finite is refused as input
-            problem = f"after {frame / FRAME_RATE:.2f} s: {error}"
+        moment = f"after {frame / FRAME_RATE:.2f} s"
+        if not steps(frame):  # a state that is no longer finite is refused as input
+            problem = f"{moment}: {steps.error}"
             break
-        times.append(1e3 * (time.process_time() - begin))
         if not np.isfinite(frames[-1]).all():
-            problem = f"after {frame / FRAME_RATE:.2f} s: not finite"
+            problem = f"{moment}: not finite"
             frames.pop()
-            times.pop()
+            steps.times.pop()
             break
         if time.process_time() - began > limit_s and frame < scene.frame_count:
-            problem, gave_up = f"given up after {frame / FRAME_RATE:.2f} s of motion: {limit_s:.0f} s of time", True
+            problem, gave_up = f"given up {moment} of motion: {limit_s:.0f} s of time", True
             break
     x, v = np.array(frames).reshape(-1, 2, model.vertex_count, 3).transpose(1, 0, 2, 3)
     return SceneRun(
@@ -173,9 +171,9 @@ def run_setting(scene: CompareScene, setting: MethodSetting, limit_s: float = np
         scene.sampled(setting.edges, x).astype(np.float32),
         scene.sampled(setting.edges, v).astype(np.float32),
         np.array(mechanical_energy(model.mass, x, v)),
-        _depth(scene.scene_colliders(), x),
+        deepest(scene.colliders(), x),
         _strain(model, x),
-        np.array(times),
+        1e3 * np.array(steps.times),
         setup_s,
         float("nan") if setting.baseline else _memory_mb(scene, setting),
         model.vertex_count,
@@ -204,7 +202,7 @@ def _ours(scene: CompareScene, model: Model, setting: MethodSetting) -> _Stepped
 def _baseline(scene: CompareScene, model: Model, setting: MethodSetting) -> _Stepped:
     if scene.colliders() or scene.driven:
         raise InputError("an engine that is driven on a still clamp alone", key="--methods", received=setting.method)
-    step, world = start_baseline(setting.method, model, setting.substeps, setting.iterations)
+    step, world = start_engine(setting.method, model, setting.substeps, setting.iterations)
     last = [world()]
 
     def stepped(frame: int) -> tuple[np.ndarray, np.ndarray]:
@@ -225,19 +223,11 @@ def _substeps(setting: MethodSetting, model: Model) -> int:
     return max(1, int(np.ceil(1.0 / (FRAME_RATE * substep) - 1e-6)))
 
 
-def _depth(colliders: Colliders, x: np.ndarray) -> np.ndarray:
-    depth = np.zeros(len(x))
-    for primitive in colliders.primitives:
-        depth = np.maximum(depth, -signed_distance(primitive, x).min(axis=1))
-    return depth
-
-
 def _strain(model: Model, x: np.ndarray) -> np.ndarray:
     later = x[min(round(START * FRAME_RATE), max(len(x) - 1, 0)) :]
     if not len(later):
         return np.array([np.nan, np.nan])
-    edges, lengths = model.mesh.edge_lengths()
-    strain = np.linalg.norm(later[:, edges[:, 1]] - later[:, edges[:, 0]], axis=2) / lengths - 1.0
+    strain = edge_strain(later, *model.mesh.edge_lengths())
     return np.array([np.percentile(np.abs(strain), 95), strain.max()])
 
 
@@ -258,7 +248,7 @@ def _memory_mb(scene: CompareScene, setting: MethodSetting) -> float:
 @lru_cache(maxsize=1)
 def _version() -> str:
     """Hash of the source of the solvers and of the scenes."""
-    return source_fingerprint(pbd, mechanics, compare_scenes, Path(__file__))
+    return source_fingerprint(pbd, experiment, compare_scenes, Path(__file__))
 
 
 def run_path(cache: Path, scene: CompareScene, setting: MethodSetting) -> Path:

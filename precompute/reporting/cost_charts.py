@@ -16,7 +16,7 @@ import numpy as np
 from pbd.errors import InputError
 from pbd.storage import replacing
 
-__all__ = ["Chart", "Point", "chart_svg", "draw_charts", "pareto_front", "write_png"]
+__all__ = ["Chart", "Point", "chart_svg", "draw_charts", "panels", "pareto_front", "write_png"]
 
 _COLORS = ("#0067a8", "#c24a00", "#00764f", "#a83e85", "#7d5c00", "#5847c0", "#b81f3c", "#4d5560")
 _MARKERS = "os^DvPX*<>pdh"  # with eight colours 104 methods differ in one of them
@@ -114,6 +114,19 @@ def write_png(path: Path, figure: Any) -> None:
     """Write a figure of matplotlib; the file appears whole or not at all."""
     with replacing(path) as beside:
         figure.savefig(beside, format="png")
+
+
+def panels(count: int) -> tuple[Any, list[Any]]:
+    """A figure of matplotlib with so many panels, at most four side by side, and the panels."""
+    from matplotlib.figure import Figure
+
+    across = min(count, 4)
+    down = -(-count // across)
+    figure: Any = Figure(figsize=(4.2 * across, 3.6 * down), layout="constrained")
+    drawn = figure.subplots(down, across, squeeze=False).ravel().tolist()
+    for panel in drawn[count:]:
+        panel.set_axis_off()
+    return figure, drawn[:count]
 
 
 def draw_charts(charts: Mapping[str, Chart], width: float, height: float) -> Any:

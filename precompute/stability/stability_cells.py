@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pbd import Colliders, Solver, SolverOptions, State, build_model
 from pbd.mesh import hinges_of
-from pbd.models import AnySolver, Options, StepError, make_solver
-from precompute.mechanics import GRAVITY, mechanical_energy, signed_distance
-from precompute.method_comparison.error_classes import ErrorClass, Recorded, classify, deviations
+from pbd.models import AnySolver, Options, make_solver
+from precompute.experiment.error_classes import ErrorClass, Recorded, classify, deviations
+from precompute.experiment.measures import GRAVITY, TimedSteps, deepest, mechanical_energy, typical_ms
 from precompute.stability.stability_maps import CellScene, StabilityMap
 
-__all__ = ["Cell", "Frames", "Reference", "breaks", "judge", "lattice_of", "reference_of", "run_cell"]
+__all__ = ["Cell", "Frames", "breaks", "judge", "lattice_of", "reference_of", "run_cell"]
 
 SECONDS = 1.0  # of a run
 KEPT = 1.0 / 60.0  # frames nearer to each other than this are left out of what is judged [s]
@@ -23,7 +22,6 @@ REFERENCE_STEP = 1.0 / 5760.0  # substep of the reference; the one that it is he
 REFERENCE_FRAME = 1.0 / 480.0  # [s]
 BREAKING_FRAMES = 150  # frames in which an unstable step shows
 MIN_FALL = 0.01  # the unit of energies is at least a fall by this part of the cloth's size [-]
-BISECTIONS = 6  # bisections of a border
 # What went, by the figures that say so, the gravest first.
 WENT = {
     "not_finite": "not finite",
@@ -44,22 +42,25 @@ WENT = {
 
 
 @dataclass(frozen=True)
-class Reference:
-    """The converged run of a scene.
+class Frames:
+    """Frames of a run about what drives the scene: where that goes is taken away.
 
     Attributes:
         times: [s], shape (t,).
-        position: [m], float32, shape (t, n, 3).
-        velocity: [m/s], float32, shape (t, n, 3).
-        floor_px: distance to the same run with substeps twice as long, p95 [px].
-        chaotic: the two do not agree to what is accepted of a run: the answer is not unique.
+        position, velocity: [m], [m/s], float32, shape (t, n, 3).
+        frame_ms: processor time of a frame, median [ms].
+        message: what the solver said when it gave up.
+        floor_px: of a reference, the distance to the same run with substeps twice as long, p95 [px].
+        chaotic: of a reference, whether the two do not agree to what is accepted of a run: the answer is not unique.
     """
 
     times: np.ndarray
     position: np.ndarray
     velocity: np.ndarray
-    floor_px: float
-    chaotic: bool
+    frame_ms: float = 0.0
+    message: str = ""
+    floor_px: float = 0.0
+    chaotic: bool = False
 
     def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities at other times, between neighbours."""
@@ -78,7 +79,7 @@ class Cell:
         map, x, y, method: which.
         error_class: of the worst figure.
         went: which figure that is, in a word; empty where nothing went.
-        figures: of :func:`precompute.method_comparison.error_classes.deviations`.
+        figures: of :func:`precompute.experiment.error_classes.deviations`.
         frame_ms: processor time of a frame, median [ms].
         dt: of a frame [s].
         failed_s: when the first catastrophic limit was passed [s]; not a number where none was.
@@ -124,17 +125,6 @@ def _solver(method: str, scene: CellScene, substep: float | None = None) -> AnyS
     return make_solver(method, scene.model, Options(scene.dt, iterations=scene.passes))
 
 
-@dataclass(frozen=True)
-class Frames:
-    """Frames about what drives the scene: where it goes is taken away [m], [m/s]."""
-
-    times: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
-    frame_ms: float
-    message: str
-
-
 def _simulate(scene: CellScene, solver: AnySolver, dt: float, seconds: float = SECONDS, kept: float = KEPT) -> Frames:
     """Run until it ends or is not finite; frames that were not reached are not numbers."""
     model = scene.model
@@ -149,19 +139,15 @@ def _simulate(scene: CellScene, solver: AnySolver, dt: float, seconds: float = S
     colliders = Colliders([] if post is None else [post])
     if post is not None:
         colliders.rows(state.origin)  # so that the first frame knows that it moves
-    spent, message = [], ""
+    steps, message = TimedSteps(solver.step), ""
     for frame in range(1, count * stride + 1):
         way = frame * dt * drift
         if post is not None and scene.post is not None:
             post.start, post.end = (tuple(np.asarray(end) + way) for end in (scene.post.start, scene.post.end))
         targets = scene.start[model.held] + way if scene.speed else None
-        begin = time.process_time()
-        try:
-            solver.step(state, colliders, dt, targets)
-        except StepError as error:
-            message = error.problem
+        if not steps(state, colliders, dt, targets):
+            message = steps.problem
             break
-        spent.append(time.process_time() - begin)
         if not (np.isfinite(state.position).all() and np.isfinite(state.velocity).all()):
             message = "positions or velocities are not finite"
             break
@@ -170,26 +156,25 @@ def _simulate(scene: CellScene, solver: AnySolver, dt: float, seconds: float = S
             velocity[frame // stride] = state.velocity - drift
         solver.follow(state, colliders)
     times = dt * stride * np.arange(count + 1)
-    return Frames(times, position, velocity, 1e3 * float(np.median(spent or [math.nan])), message)
+    return Frames(times, position, velocity, typical_ms(steps.times), message)
 
 
-def reference_of(scene: CellScene, seconds: float = SECONDS) -> Reference:
+def reference_of(scene: CellScene, seconds: float = SECONDS) -> Frames:
     """The default solver with many short substeps, without tethers."""
     plain = replace(scene, passes=None)
     fine, coarse = (
         _simulate(plain, _solver("default", plain, step), REFERENCE_FRAME, seconds + 0.2, REFERENCE_FRAME)
         for step in (REFERENCE_STEP, 2.0 * REFERENCE_STEP)
     )
-    found = Reference(fine.times, fine.position, fine.velocity, 0.0, False)
     if fine.message or coarse.message:
-        return replace(found, floor_px=math.inf, chaotic=True)
+        return replace(fine, floor_px=math.inf, chaotic=True)
     stride = round(KEPT / REFERENCE_FRAME)
     times = fine.times[::stride]
     runs = [Recorded(run.position[::stride], run.velocity[::stride], times[1]) for run in (coarse, fine)]
     edges, lengths = scene.model.mesh.edge_lengths()
     figures = deviations(runs[0], runs[1], edges, lengths, scene.model.fabric.thickness)
     chaotic = classify({"position_px": figures["position_px"]})["position_px"] > ErrorClass.ACCEPTED
-    return replace(found, floor_px=figures["position_px"], chaotic=chaotic)
+    return replace(fine, floor_px=figures["position_px"], chaotic=chaotic)
 
 
 def breaks(scene: CellScene, method: str) -> bool:
@@ -197,7 +182,7 @@ def breaks(scene: CellScene, method: str) -> bool:
     return bool(_simulate(scene, _solver(method, scene), scene.dt, BREAKING_FRAMES * scene.dt).message)
 
 
-def judge(scene: CellScene, run: Frames, reference: Reference, until: int | None = None) -> dict[str, float]:
+def judge(scene: CellScene, run: Frames, reference: Frames, until: int | None = None) -> dict[str, float]:
     """Figures of a run beside the reference.
 
     Args:
@@ -218,8 +203,9 @@ def judge(scene: CellScene, run: Frames, reference: Reference, until: int | None
         scale = max(
             float(kinetic.max()), float(np.ptp(truth_energy)), MIN_FALL * GRAVITY * size * float(model.mass.sum())
         )
+    depth = None if scene.post is None else deepest([scene.post], position)
     return deviations(
-        Recorded(position, velocity, run.times[1], energy, _depth(scene, position), through=_through(scene, position)),
+        Recorded(position, velocity, run.times[1], energy, depth, through=_through(scene, position)),
         Recorded(truth_position, truth_velocity, run.times[1], truth_energy),
         *model.mesh.edge_lengths(),
         model.fabric.thickness,
@@ -228,13 +214,6 @@ def judge(scene: CellScene, run: Frames, reference: Reference, until: int | None
         energy_scale=scale,
         hinges=hinges_of(model.mesh.faces),
     )
-
-
-def _depth(scene: CellScene, position: np.ndarray) -> np.ndarray | None:
-    """Deepest vertex in the upright post of each frame [m]."""
-    if scene.post is None:
-        return None
-    return -signed_distance(scene.post, position).min(axis=1)
 
 
 def _through(scene: CellScene, position: np.ndarray) -> np.ndarray | None:
@@ -248,7 +227,7 @@ def _through(scene: CellScene, position: np.ndarray) -> np.ndarray | None:
 
 
 def run_cell(
-    one: StabilityMap, x: float, y: float, method: str, reference: Reference | None = None, *, seconds: float = SECONDS
+    one: StabilityMap, x: float, y: float, method: str, reference: Frames | None = None, *, seconds: float = SECONDS
 ) -> Cell:
     """Run and class one cell; the reference is made where it is not given.
 
@@ -267,12 +246,8 @@ def run_cell(
         low, high = 1, len(run.times)  # it is not catastrophic over `low` frames, but over `high`
         while high - low > 1:
             middle = (low + high) // 2
-            if max(classify(judge(scene, run, reference, middle)).values()) is ErrorClass.CATASTROPHIC:
-                high = middle
-            else:
-                low = middle
+            lost = max(classify(judge(scene, run, reference, middle)).values()) is worst
+            low, high = (low, middle) if lost else (middle, high)
         failed = float(run.times[high - 1])
-    return Cell(
-        one.name, x, y, method, worst, went, figures, run.frame_ms, scene.dt, failed, run.message, reference.floor_px,
-        reference.chaotic,
-    )  # fmt: skip
+    known = reference.floor_px, reference.chaotic
+    return Cell(one.name, x, y, method, worst, went, figures, run.frame_ms, scene.dt, failed, run.message, *known)

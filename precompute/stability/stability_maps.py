@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 
 import numpy as np
 
-from pbd import Capsule, ClothMesh, Fabric, InputError, Model, ModelOptions, build_model
-from pbd.bending import hinge_calibration
+from pbd import Capsule, ClothMesh, Fabric, InputError, Model
 from pbd.mesh import lattice_faces
+from precompute.experiment.sheets import hinge_factor, lattice, level, tilted, untethered
 
 __all__ = ["MAPS", "Axis", "CellScene", "StabilityMap", "chosen_cell", "lattice_model"]
 
@@ -101,12 +101,9 @@ def _flat(length: float, width: float, edges: int, kind: str) -> tuple[np.ndarra
     """Places across and down [m], faces, and the rows of vertices, the upper one first, shape (r, k)."""
     d = length / edges
     down = d if kind == "squares" else d * math.sqrt(0.75)
-    rows, columns = round(length / down) + 1, max(2, round(width / d)) + 1
-    index = np.arange(rows * columns).reshape(rows, columns)
-    i, j = np.divmod(index, columns)
+    index, i, j = lattice(round(length / down) + 1, max(2, round(width / d)) + 1)
     shift = 0.0 if kind == "squares" else 0.5 * (i % 2)
-    flat = np.stack([d * (j + shift), -down * i], axis=-1).reshape(-1, 2)
-    return flat, _faces(index, kind), index
+    return np.stack([d * (j + shift), -down * i], axis=-1), _faces(index, kind), index
 
 
 def _faces(index: np.ndarray, kind: str) -> np.ndarray:
@@ -123,12 +120,7 @@ def _faces(index: np.ndarray, kind: str) -> np.ndarray:
 @cache
 def _bend_factor(kind: str) -> float:
     """Hinge factor of the lattice, measured once on a large sheet."""
-    flat, faces, _ = _flat(1.0, 1.0, 30, kind)
-    return hinge_calibration(_pattern_mesh(flat, faces))
-
-
-def _pattern_mesh(flat: np.ndarray, faces: np.ndarray) -> ClothMesh:
-    return ClothMesh.from_pattern(np.stack([flat[:, 0], flat[:, 1], 0.0 * flat[:, 0]], axis=1), faces, flat[faces])
+    return hinge_factor(*_flat(1.0, 1.0, 30, kind)[:2])
 
 
 def _fabric(stiffness: float = STIFFNESS, bend: float = BEND) -> Fabric:
@@ -161,64 +153,52 @@ def lattice_model(
         The model without tethers, and the rows of its vertices, the upper one first.
     """
     flat, faces, index = _flat(length, width, edges, kind)
-    mesh = _pattern_mesh(flat, faces)
+    mesh = ClothMesh.from_pattern(np.insert(flat, 2, 0.0, axis=1), faces, flat[faces])
     if heavy != 1.0:
         weights = np.ones(len(flat))
         weights[index[-1]] = heavy
         mesh = _Weighted(mesh.vertices, mesh.faces, mesh.flat, weights=weights)
-    held = index[:held_rows].ravel()
-    return build_model(
-        mesh, fabric, held, options=ModelOptions(tether_slack=0.0), bend_factor=_bend_factor(kind)
-    ), index
+    return untethered(mesh, fabric, index[:held_rows].ravel(), bend_factor=_bend_factor(kind)), index
 
 
-def _hanging(model: Model) -> np.ndarray:
-    """The cloth tilted about its upper side."""
+def _hanging(width: float, edges: int, kind: str, fabric: Fabric, dt: float, *, heavy: float = 1.0) -> CellScene:
+    """Cloth of 1 m tilted about its upper side."""
+    model, _ = lattice_model(1.0, width, edges, kind, fabric, heavy=heavy)
     x, y, _ = model.mesh.vertices.T
-    angle = math.radians(TILT)
-    return np.stack([x, y * math.cos(angle), -y * math.sin(angle)], axis=1)
+    return CellScene(model, tilted(x, y, TILT), dt)
 
 
 def _by_stiffness(x: float, y: float, kind: str) -> CellScene:
-    model, _ = lattice_model(1.0, 1.0, EDGES, kind, _fabric(stiffness=x))
-    return CellScene(model, _hanging(model), y)
+    return _hanging(1.0, EDGES, kind, _fabric(stiffness=x), y)
 
 
 def _by_resolution(x: float, y: float, kind: str) -> CellScene:
-    model, _ = lattice_model(1.0, 0.125, round(x), kind, _fabric())
-    return CellScene(model, _hanging(model), y)
+    return _hanging(0.125, round(x), kind, _fabric(), y)
 
 
 def _by_bending(x: float, y: float, kind: str) -> CellScene:
     """A square of 30 cm clamped level falls."""
     model, _ = lattice_model(0.3, 0.3, EDGES, kind, _fabric(bend=x), held_rows=2)
-    flat = model.mesh.vertices
-    return CellScene(model, np.stack([flat[:, 0], flat[:, 2], -flat[:, 1]], axis=1), y)
+    return CellScene(model, level(model.mesh.vertices), y)
 
 
 def _by_mass(x: float, y: float, kind: str) -> CellScene:
     """A strip swings with its lowest row x times as heavy."""
-    model, _ = lattice_model(1.0, 0.25, EDGES, kind, _fabric(stiffness=1e5), heavy=x)
-    return CellScene(model, _hanging(model), passes=max(1, round(y)))
+    scene = _hanging(0.25, EDGES, kind, _fabric(stiffness=1e5), FRAME, heavy=x)
+    return replace(scene, passes=max(1, round(y)))
 
 
 def _by_collider(x: float, y: float, kind: str) -> CellScene:
     """A skirt around a post that dashes off, held at its waist."""
-    height, radius, gap = 0.4, 0.15, 0.02
-    around = 24
+    height, radius, gap, around = 0.4, 0.15, 0.02, 24
     d = 2.0 * radius * math.sin(math.pi / around)
     down = d if kind == "squares" else d * math.sqrt(0.75)
-    rows = round(height / down) + 1
-    index = np.arange(rows * around).reshape(rows, around)
-    i, j = np.divmod(index.ravel(), around)
+    index, i, j = lattice(round(height / down) + 1, around)
     turn = (2.0 * math.pi / around) * (j + (0.0 if kind == "squares" else 0.5 * (i % 2)))
     vertices = np.stack([radius * np.cos(turn), -down * i, radius * np.sin(turn)], axis=1)
-    faces = _faces(np.concatenate([index, index[:, :1]], axis=1), kind)
-    mesh = ClothMesh.from_surface(vertices, faces)
-    model = build_model(
-        mesh, _fabric(), index[0], options=ModelOptions(tether_slack=0.0), bend_factor=_bend_factor(kind)
-    )
+    mesh = ClothMesh.from_surface(vertices, _faces(np.concatenate([index, index[:, :1]], axis=1), kind))
     post = Capsule((0.0, 1.0, 0.0), (0.0, -2.0, 0.0), radius - gap)
+    model = untethered(mesh, _fabric(), index[0], bend_factor=_bend_factor(kind))
     return CellScene(model, vertices, y, speed=x, post=post, rings=index)
 
 
@@ -231,59 +211,27 @@ def _by_compression(x: float, y: float, kind: str) -> CellScene:
     return CellScene(model, start)
 
 
-def _log(low: float, high: float) -> tuple[float, ...]:
-    return tuple(float(f"{value:.6g}") for value in np.geomspace(low, high, POINTS))
+def _rising(low: float, high: float, spaced: Callable = np.geomspace) -> tuple[float, ...]:
+    return tuple(float(f"{value:.6g}") for value in spaced(low, high, POINTS))
 
 
-_STEP = Axis("time step [s]", _log(1 / 240, 1 / 10))
-_BENDING = Axis("bending stiffness B [N m]", _log(1e-7, 1e-3))
+_STEP = Axis("time step [s]", _rising(1 / 240, 1 / 10))
+_EDGES = Axis("edges along 1 m", tuple(float(round(v)) for v in np.geomspace(16, 128, POINTS)))
+_BENDING = Axis("bending stiffness B [N m]", _rising(1e-7, 1e-3))
+_HEAVY = Axis("mass of the lowest row over the others [-]", _rising(1.0, 1e4))
+_PASSES = Axis("iterations a frame of 1/60 s", (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0))
+_SPEED = Axis("speed [m/s]", _rising(0.0, 50.0, np.linspace), log=False)
+_SHORT = Axis("initial compression [%]", _rising(0.0, 90.0, np.linspace), log=False)
 MAPS: tuple[StabilityMap, ...] = (
-    StabilityMap(
-        "stiffness", "Time step and membrane stiffness", Axis("E h [N/m]", _log(1.0, 1e6)), _STEP, _by_stiffness
-    ),
-    StabilityMap(
-        "resolution",
-        "Time step and resolution",
-        Axis("edges along 1 m", tuple(float(round(v)) for v in np.geomspace(16, 128, POINTS))),
-        _STEP,
-        _by_resolution,
-    ),
+    StabilityMap("stiffness", "Time step and membrane stiffness", Axis("E h [N/m]", _rising(1.0, 1e6)), _STEP,
+                 _by_stiffness),
+    StabilityMap("resolution", "Time step and resolution", _EDGES, _STEP, _by_resolution),
     StabilityMap("bending", "Time step and bending stiffness", _BENDING, _STEP, _by_bending),
-    StabilityMap(
-        "mass",
-        "Mass ratio and iterations",
-        Axis("mass of the lowest row over the others [-]", _log(1.0, 1e4)),
-        Axis("iterations a frame of 1/60 s", (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0)),
-        _by_mass,
-    ),
-    StabilityMap(
-        "collider",
-        "Collider speed and time step",
-        Axis("speed [m/s]", tuple(float(f"{v:.6g}") for v in np.linspace(0.0, 50.0, POINTS)), log=False),
-        _STEP,
-        _by_collider,
-    ),
-    StabilityMap(
-        "compression",
-        "Initial compression and bending stiffness",
-        Axis("initial compression [%]", tuple(float(f"{v:.6g}") for v in np.linspace(0.0, 90.0, POINTS)), log=False),
-        _BENDING,
-        _by_compression,
-        column=False,
-    ),
-)
-
-
-def chosen_map(name: str) -> StabilityMap:
-    """A map by its name.
-
-    Raises:
-        InputError: no such map.
-    """
-    for one in MAPS:
-        if one.name == name:
-            return one
-    raise InputError("no such map", key="--cell", received=name, expected=", ".join(one.name for one in MAPS))
+    StabilityMap("mass", "Mass ratio and iterations", _HEAVY, _PASSES, _by_mass),
+    StabilityMap("collider", "Collider speed and time step", _SPEED, _STEP, _by_collider),
+    StabilityMap("compression", "Initial compression and bending stiffness", _SHORT, _BENDING, _by_compression,
+                 column=False),
+)  # fmt: skip
 
 
 def chosen_cell(text: str) -> tuple[StabilityMap, float, float]:
@@ -293,7 +241,9 @@ def chosen_cell(text: str) -> tuple[StabilityMap, float, float]:
         InputError: no such map, no numbers, or numbers outside the map.
     """
     name, *words = text.split(":")
-    one = chosen_map(name)
+    one = next((one for one in MAPS if one.name == name), None)
+    if one is None:
+        raise InputError("no such map", key="--cell", received=name, expected=", ".join(one.name for one in MAPS))
     try:
         x, y = (float(word) for word in words)
     except ValueError:

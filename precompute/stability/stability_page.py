@@ -13,13 +13,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.patheffects import Normal, Stroke
 
-from precompute.method_comparison.error_classes import LIMITS, ErrorClass, classify
+from precompute.experiment.error_classes import LIMITS, ErrorClass, classify
 from precompute.reporting.cost_charts import write_png
 from precompute.reporting.html_page import Heading, Picture, Section, Table, Text, write_page
 from precompute.reporting.tables import write_table
 from precompute.stability.stability_cells import Cell
 from precompute.stability.stability_maps import Axis, StabilityMap
-from precompute.stability.stability_sweep import Border, StabilitySweep, cell_command
+from precompute.stability.stability_sweep import Border, StabilitySweep, cell_command, lost
 from precompute.stability.stability_theory import theory_of
 
 __all__ = ["cell_row", "cell_text", "stability_text", "write_stability"]
@@ -91,9 +91,9 @@ def stability_text(found: StabilitySweep) -> str:
         lines.append(f"{method}:")
         for one in found.maps:
             cells = found.of(one, method)
-            lost = [cell for cell in cells if cell.error_class is ErrorClass.CATASTROPHIC]
-            lines.append(f"  {one.title.lower():42s} {len(lost):4d} of {len(cells)} cells catastrophic")
-            shown = lost if method == "default" else lost[:1]
+            gone = [cell for cell in cells if lost(cell)]
+            lines.append(f"  {one.title.lower():42s} {len(gone):4d} of {len(cells)} cells catastrophic")
+            shown = gone if method == "default" else gone[:1]
             lines += [f"    {cell.went}: {cell_command(cell)}" for cell in shown]
     for limit in found.limits:
         lines.append(
@@ -124,7 +124,7 @@ def _counts(found: StabilitySweep) -> Table:
 
 def _caption(one: StabilityMap, method: str, found: StabilitySweep) -> str:
     cells = found.of(one, method)
-    went = [cell.went for cell in cells if cell.error_class is ErrorClass.CATASTROPHIC]
+    went = [cell.went for cell in cells if lost(cell)]
     counts = ", ".join(f"{went.count(word)} {word}" for word in dict.fromkeys(went))
     return f"{len(went)} of {len(cells)} cells are catastrophic{': ' + counts if counts else ''}."
 
@@ -135,8 +135,8 @@ def _border_table(borders: Sequence[Border]) -> Table:
 
 
 def _lost_table(found: StabilitySweep) -> Table:
-    lost = [cell for cell in found.cells if cell.error_class is ErrorClass.CATASTROPHIC]
-    return Table(["went", "after [s]", "command"], [[c.went, c.failed_s, cell_command(c)] for c in lost])
+    rows = [[cell.went, cell.failed_s, cell_command(cell)] for cell in found.cells if lost(cell)]
+    return Table(["went", "after [s]", "command"], rows)
 
 
 def _draw(path: Path, one: StabilityMap, method: str, found: StabilitySweep) -> None:
@@ -158,7 +158,7 @@ def _draw(path: Path, one: StabilityMap, method: str, found: StabilitySweep) -> 
     tall = bottom == _walls(one.y)[0]  # cells have room for several lines
     for cell in cells.values():
         went = cell.went.replace(" ", "\n") + "\n" if tall and cell.went else f"{cell.went} "
-        color = "white" if cell.error_class is ErrorClass.CATASTROPHIC else "black"
+        color = "white" if lost(cell) else "black"
         axes.text(
             cell.x, cell.y, f"{went}{cell.frame_ms:.2g} ms", ha="center", va="center",
             fontsize=5.5 if tall else 4.5, color=color,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -12,11 +11,11 @@ from threadpoolctl import threadpool_limits
 
 from pbd import InputError
 from pbd.models import SOLVERS
-from precompute.method_comparison.error_classes import ErrorClass
+from precompute.experiment.error_classes import ErrorClass
 from precompute.stability.stability_cells import (
     SECONDS,
     Cell,
-    Reference,
+    Frames,
     breaks,
     lattice_of,
     reference_of,
@@ -69,14 +68,10 @@ class StabilitySweep:
         """By name; ``catastrophic_cells_MAP_METHOD`` for each map too."""
         found: dict[str, float] = {"explicit_limit_error_percent": max(one.error_percent for one in self.limits)}
         for method in self.methods:
-            counts = {one.name: _catastrophic(self.of(one, method)) for one in self.maps}
+            counts = {one.name: sum(map(lost, self.of(one, method))) for one in self.maps}
             found[f"catastrophic_cells_{method}"] = sum(counts.values())
             found |= {f"catastrophic_cells_{name}_{method}": count for name, count in counts.items()}
         return found | {"cells": len(self.cells)}
-
-
-def _catastrophic(cells: Sequence[Cell]) -> int:
-    return sum(map(_lost, cells))
 
 
 def cell_command(cell: Cell) -> str:
@@ -136,7 +131,7 @@ def sweep(
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def _column(one: StabilityMap, x: float, methods: tuple[str, ...], seconds: float) -> tuple[list[Cell], list[Border]]:
     """Cells and borders of a column, which share what references they can."""
-    references: dict[tuple[str, float], Reference] = {}
+    references: dict[tuple[str, float], Frames] = {}
 
     def run(y: float, method: str) -> Cell:
         key = lattice_of(method), 0.0 if one.column else y
@@ -149,16 +144,17 @@ def _column(one: StabilityMap, x: float, methods: tuple[str, ...], seconds: floa
         column = [run(y, method) for y in one.y.values]
         cells += column
         for one_side, other in pairwise(column):
-            if _lost(one_side) != _lost(other):
-                safe, bad = (one_side, other) if _lost(other) else (other, one_side)
-                gone = partial(lambda y, method: _lost(run(y, method)), method=method)
+            if lost(one_side) != lost(other):
+                safe, bad = (one_side, other) if lost(other) else (other, one_side)
+                gone = partial(lambda y, method: lost(run(y, method)), method=method)
                 borders.append(_bisected(one, x, method, safe.y, bad.y, gone))
-        if one.y.values[0] == column[0].dt and all(map(_lost, column)):
+        if one.y.values[0] == column[0].dt and all(map(lost, column)):
             borders += _below(one, x, method)
     return cells, borders
 
 
-def _lost(cell: Cell) -> bool:
+def lost(cell: Cell) -> bool:
+    """Whether it is catastrophic."""
     return cell.error_class is ErrorClass.CATASTROPHIC
 
 
@@ -177,6 +173,6 @@ def _bisected(
     one: StabilityMap, x: float, method: str, safe: float, bad: float, gone: Callable[[float], bool]
 ) -> Border:
     for _ in range(BISECTIONS):
-        middle = math.sqrt(safe * bad) if one.y.log else 0.5 * (safe + bad)
+        middle = one.y.between(safe, bad)
         safe, bad = (safe, middle) if gone(middle) else (middle, bad)
     return Border(one.name, x, method, safe, bad)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from pbd import Colliders, Fabric, SolverOptions, State, build_model
 from pbd.models import Options, StepError, make_solver
-from precompute.mechanics import GRAVITY
+from precompute.experiment.measures import GRAVITY
 from precompute.stability.stability_maps import DENSITY, EDGES, STIFFNESS, StabilityMap, lattice_model
 
 __all__ = ["StabilityCurve", "ExplicitLimit", "explicit_limit", "explicit_limits", "theory_of"]
@@ -24,8 +24,7 @@ BISECTIONS = 8  # bisections: to 0.3 %
 START_SPEED = 1e-6  # speed that it starts with [m/s]
 
 
-@dataclass(frozen=True)
-class StabilityCurve:
+class StabilityCurve(NamedTuple):
     """A line of theory over a map, x and y."""
 
     label: str
@@ -33,8 +32,7 @@ class StabilityCurve:
     y: np.ndarray
 
 
-@dataclass(frozen=True)
-class ExplicitLimit:
+class ExplicitLimit(NamedTuple):
     """The longest stable step of a lattice of springs under symplectic Euler.
 
     Attributes:
@@ -99,21 +97,18 @@ def explicit_limit(lattice: str) -> ExplicitLimit:
 
 def theory_of(one: StabilityMap, method: str) -> list[StabilityCurve]:
     """Lines over a map of a method; none where nothing is known."""
-    for lattice, name in SPRINGS.items():
-        if method == name:
-            return _explicit_curves(one, lattice)
-    if method in ("default", "xpbd"):
-        return _stretch_curves(one, method)
-    return []
+    lattice = next((lattice for lattice, name in SPRINGS.items() if name == method), None)
+    if lattice is not None:
+        return _explicit_curves(one, lattice)
+    return _stretch_curves(one, method) if method in ("default", "xpbd") else []
 
 
 def _explicit_curves(one: StabilityMap, lattice: str) -> list[StabilityCurve]:
     space = np.geomspace if one.x.log else np.linspace
     x, words = space(one.x.values[0], one.x.values[-1], 200), "explicit limit 2/omega"
-    if one.name == "stiffness":
-        return [StabilityCurve(words, x, np.array([membrane_limit(lattice, 1.0 / EDGES, value) for value in x]))]
-    if one.name == "resolution":
-        return [StabilityCurve(words, x, np.array([membrane_limit(lattice, 1.0 / value, STIFFNESS) for value in x]))]
+    if one.name in ("stiffness", "resolution"):
+        at = [(1.0 / EDGES, value) if one.name == "stiffness" else (1.0 / value, STIFFNESS) for value in x]
+        return [StabilityCurve(words, x, np.array([membrane_limit(lattice, *both) for both in at]))]
     if one.name == "bending":
         edge = 0.3 / EDGES
         membrane = np.full_like(x, membrane_limit(lattice, edge, STIFFNESS))

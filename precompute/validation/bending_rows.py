@@ -10,7 +10,8 @@ from functools import cache
 import numpy as np
 
 from pbd import ClothMesh, Colliders, Fabric, Plane, build_model
-from precompute.mechanics import FRAME_RATE, GRAVITY
+from precompute.experiment.measures import FRAME_RATE, GRAVITY
+from precompute.experiment.sheets import level
 from precompute.validation.plate_references import lateral_gamma
 from precompute.validation.strip_references import (
     cantilever,
@@ -20,7 +21,7 @@ from precompute.validation.strip_references import (
     tall_column,
     upright_gamma,
 )
-from precompute.validation.trial import FABRIC, Curve, Trial, TrialResult, TrialSetting, level, strip
+from precompute.validation.trial import FABRIC, Curve, Trial, TrialResult, TrialSetting, strip
 from precompute.validation.validation_row import Parameter, Row
 
 __all__ = ["ROWS", "hinge_poisson"]

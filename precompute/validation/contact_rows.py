@@ -9,10 +9,11 @@ import numpy as np
 
 from pbd import Body, Capsule, Colliders, Plane
 from pbd.models import StepError
-from precompute.mechanics import FRAME_RATE
+from precompute.experiment.measures import FRAME_RATE
+from precompute.experiment.sheets import level
 from precompute.validation.membrane_rows import ROPE
 from precompute.validation.strip_references import capstan_ratio
-from precompute.validation.trial import FABRIC, Trial, TrialResult, TrialSetting, level, strip
+from precompute.validation.trial import FABRIC, Trial, TrialResult, TrialSetting, strip
 from precompute.validation.validation_row import Parameter, ParameterChoice, Row
 
 __all__ = ["ROWS"]

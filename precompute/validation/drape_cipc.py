@@ -8,7 +8,6 @@ here do not touch one another, because pleats that are sewn down have edges of m
 from __future__ import annotations
 
 import os
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,8 +21,9 @@ from trimesh.intersections import mesh_plane
 from assets.io.sequence import load_sequence
 from assets.loading import load_garment
 from assets.seams import Seams, load_seams
-from pbd import Body, ClothMesh, Colliders, Fabric, Model, ModelOptions, Solver, SolverOptions, State, build_model
-from precompute.mechanics import FRAME_RATE
+from pbd import Body, ClothMesh, Colliders, Fabric, Model, Solver, SolverOptions, State
+from precompute.experiment.measures import FRAME_RATE, TimedSteps, typical_ms
+from precompute.experiment.sheets import untethered
 from precompute.validation.trial import Curve, TrialResult, TrialSetting
 from precompute.validation.validation_row import Parameter, Row
 from wrinkles.spectrum import BandedEnergy
@@ -139,8 +139,7 @@ def _drape_cipc(setting: TrialSetting, bend_share: float) -> TrialResult:
     data = Path(os.environ.get("GUBE_DATA") or "../shared/data")
     garments = data / "garments"
     if not (garments / "cipc_dress_draped.obj").exists():
-        missing = f"the dress is not in {garments} (GUBE_DATA)"
-        return TrialResult(np.nan, np.nan, np.nan, np.nan, missing=missing)
+        return TrialResult.lost(f"the dress is not in {garments} (GUBE_DATA)")
     flat = load_garment(garments / "cipc_dress_pattern_stitches.obj", pattern=True)
     reference = load_garment(garments / "cipc_dress_draped.obj", pattern=True).vertices
     seams = load_seams(garments / "cipc_dress_stitches.csv", len(flat.vertices))
@@ -181,9 +180,8 @@ def _sewn(
 ) -> tuple[Floats, float]:
     """Where the dress hangs [m], shape (n, 3), and the processor time of a frame of the last stage, median [ms]."""
     bend = HINGE_STIFFNESS * bend_share * YOUNG * THICKNESS**3 / (12.0 * (1.0 - POISSON**2))
-    tetherless = ModelOptions(tether_slack=0.0)
-    model = build_model(mesh, _fabric(bend, FRICTION), options=tetherless)
-    stiff = build_model(mesh, _fabric(CLOSING_BEND, 0.0), options=tetherless, bend_factor=model.bend_factor)
+    model = untethered(mesh, _fabric(bend, FRICTION), bend_factor=None)
+    stiff = untethered(mesh, _fabric(CLOSING_BEND, 0.0), bend_factor=model.bend_factor)
     state = State.at_rest(model)
     vertices, faces = posed
     body = Body(faces, len(vertices))
@@ -194,14 +192,12 @@ def _sewn(
 
     def stage(model: Model, seconds: float, substeps: int, weight: float, damping: float, closing: bool) -> float:
         options = SolverOptions(substep=1.0 / (FRAME_RATE * substeps), gravity=(0.0, -9.81 * weight, 0.0))
-        solver, frames, costs = Solver(model, options), round(seconds * FRAME_RATE), []
+        steps, frames = TimedSteps(Solver(model, options).step, ()), round(seconds * FRAME_RATE)
         for frame in range(frames):
             open_to = [max(0.0, 1.0 - k / (0.75 * frames)) * first for k in (frame, frame + 1)]
-            begin = time.process_time()
-            solver.step(state, colliders, 1.0 / FRAME_RATE, stitch_gaps=(open_to[0], open_to[1]) if closing else None)
-            costs.append(time.process_time() - begin)
+            steps(state, colliders, 1.0 / FRAME_RATE, stitch_gaps=(open_to[0], open_to[1]) if closing else None)
             state.velocity *= np.float32(damping)
-        return 1e3 * float(np.median(costs))
+        return typical_ms(steps.times)
 
     stage(stiff, CLOSING_S, CLOSING_SUBSTEPS, 0.0, 0.0, True)
     stage(stiff, CLOSED_S, CLOSING_SUBSTEPS, 1.0, DAMPING, False)

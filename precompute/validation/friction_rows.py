@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from scipy.spatial import Delaunay
 
-from pbd import ClothMesh, Colliders, Fabric, Model, ModelOptions, Solver, SolverOptions, State, build_model
+from pbd import ClothMesh, Colliders, Fabric, Model, Solver, SolverOptions, State
 from pbd.bending import bends_of
 from pbd.xpbd.constraints import FRICTION_STIFFNESS
-from precompute.mechanics import FRAME_RATE
+from precompute.experiment.measures import FRAME_RATE, TimedSteps, typical_ms
+from precompute.experiment.sheets import level, triangulated, untethered
 from precompute.validation.laboratory import DIRECTIONS, LoadCurve
 from precompute.validation.loops import LOOPS, bending_loop, branches, loop_area, read_loop, shear_loop
-from precompute.validation.trial import FABRIC, Curve, Specimen, Trial, TrialResult, TrialSetting, level, strip
+from precompute.validation.trial import FABRIC, Curve, Specimen, Trial, TrialResult, TrialSetting, strip
 from precompute.validation.validation_row import Parameter, ParameterChoice, Row
 
 __all__ = ["ROWS", "laid_bending_loop", "laid_shear_loop", "rolled", "unordered"]
@@ -49,16 +48,13 @@ def unordered(side: float, count: int) -> Specimen:
     """A square sheet of about so many vertices without any order, from (0, 0) to (side, side) [m]."""
     points = np.random.default_rng(0).uniform(0.0, side, (count, 2))
     for _ in range(40):  # each goes to the middle of its faces
-        faces = Delaunay(points).simplices
+        faces, _ = triangulated(points)
         sums, used = np.zeros_like(points), np.bincount(faces.ravel(), minlength=count)
         for corner in range(3):
             np.add.at(sums, faces[:, corner], points[faces].mean(axis=1))
         points = np.clip(sums / used[:, None], 0.0, side)
-    faces = Delaunay(points).simplices
-    one, two = (points[faces[:, k]] - points[faces[:, 0]] for k in (1, 2))
-    twice = one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]
-    faces[twice < 0.0] = faces[twice < 0.0][:, ::-1]
-    used, faces = np.unique(faces[np.abs(twice) > 5e-7], return_inverse=True)
+    faces, twice_area = triangulated(points)
+    used, faces = np.unique(faces[twice_area > 5e-7], return_inverse=True)
     return Specimen(points[used], faces.reshape(-1, 3).astype(np.int32), side / np.sqrt(count))
 
 
@@ -72,11 +68,31 @@ def rolled(specimen: Specimen, curvature: float, angle: float) -> np.ndarray:
     return np.stack([flat[:, 0], up, -flat[:, 1]], axis=1)
 
 
-def _heavy(specimen: Specimen, fabric: Fabric) -> tuple[Model, State, Solver]:
-    """Cloth so heavy that it stays where it is laid, with the default solver."""
+def _laid(
+    specimen: Specimen,
+    fabric: Fabric,
+    path: np.ndarray,
+    place: Callable[[float], np.ndarray],
+    load: Callable[[Model, State, float], float],
+) -> LoadCurve:
+    """Loads of cloth so heavy that it stays where it is laid, given to the default solver at one place after the other.
+
+    Args:
+        specimen: the cloth; its x is the warp.
+        fabric: SI values.
+        path: deformations one after the other, shape (k,).
+        place: where the cloth is laid at a deformation [m], shape (n, 3).
+        load: that it then bears.
+    """
     mesh = ClothMesh.from_pattern(level(specimen.flat), specimen.faces, specimen.flat[specimen.faces])
-    model = build_model(mesh, replace(fabric, areal_density=HEAVY), None, options=ModelOptions(tether_slack=0.0))
-    return model, State.at_rest(model), Solver(model, LAID)
+    model = untethered(mesh, replace(fabric, areal_density=HEAVY), bend_factor=None)
+    state, steps, found = State.at_rest(model), TimedSteps(Solver(model, LAID).step, ()), []
+    for at in path:
+        state.position[:, :3] = place(at) - state.origin
+        state.velocity[:] = 0.0
+        steps(state, Colliders(), 1.0 / FRAME_RATE)
+        found.append(load(model, state, at))
+    return LoadCurve(np.array(path), np.array(found), typical_ms(steps.times))
 
 
 def laid_bending_loop(specimen: Specimen, fabric: Fabric, angle: float, path: np.ndarray) -> LoadCurve:
@@ -90,20 +106,15 @@ def laid_bending_loop(specimen: Specimen, fabric: Fabric, angle: float, path: np
         angle: of the direction that is bent to the warp [rad].
         path: curvatures one after the other [1/m], shape (k,).
     """
-    model, state, solver = _heavy(specimen, fabric)
-    order, found, times = model.hinge_numbers, [], []
-    softness = model.hinge_data[:, 1, 1].astype(float)
-    for curvature in path:
-        state.position[:, :3] = rolled(specimen, curvature, angle) - state.origin
-        state.velocity[:] = 0.0
-        begin = time.process_time()
-        solver.step(state, Colliders(), 1.0 / FRAME_RATE)
-        times.append(time.process_time() - begin)
+
+    def moment(model: Model, state: State, curvature: float) -> float:
+        order, softness = model.hinge_numbers, model.hinge_data[:, 1, 1].astype(float)
         places = np.stack([rolled(specimen, c, angle) for c in (curvature, curvature + 0.1)])
         bends, more = bends_of(model.mesh, places)[:, order]
         rubbing = FRICTION_STIFFNESS * (bends - state.plastic_bends[order]) if model.plastic_count else 0.0 * bends
-        found.append((((bends + rubbing) / softness) @ (more - bends)) / 0.1 / model.mesh.face_areas.sum())
-    return LoadCurve(np.array(path), np.array(found), 1e3 * float(np.median(times)))
+        return (((bends + rubbing) / softness) @ (more - bends)) / 0.1 / model.mesh.face_areas.sum()
+
+    return _laid(specimen, fabric, path, lambda curvature: rolled(specimen, curvature, angle), moment)
 
 
 def laid_shear_loop(specimen: Specimen, fabric: Fabric, path: np.ndarray) -> LoadCurve:
@@ -115,19 +126,15 @@ def laid_shear_loop(specimen: Specimen, fabric: Fabric, path: np.ndarray) -> Loa
         specimen, fabric: see :func:`laid_bending_loop`.
         path: angles one after the other [rad], shape (k,).
     """
-    model, state, solver = _heavy(specimen, fabric)
-    flat, found, times = level(specimen.flat), [], []
-    for angle in path:
-        state.position[:, 0] = flat[:, 0] - np.sin(angle) * flat[:, 2] - state.origin[0]
-        state.position[:, 2] = np.cos(angle) * flat[:, 2] - state.origin[2]
-        state.velocity[:] = 0.0
-        begin = time.process_time()
-        solver.step(state, Colliders(), 1.0 / FRAME_RATE)
-        times.append(time.process_time() - begin)
+    x, y, z = level(specimen.flat).T
+
+    def force(model: Model, state: State, angle: float) -> float:
         rubbing = FRICTION_STIFFNESS * (np.sin(angle) - state.plastic_shears) if model.plastic_shear_count else 0.0
         stress = fabric.shear * (np.sin(angle) + rubbing) * np.ones(len(model.triangles))
-        found.append(float(np.cos(angle) * model.mesh.face_areas @ stress / model.mesh.face_areas.sum()))
-    return LoadCurve(np.array(path), np.array(found), 1e3 * float(np.median(times)))
+        return float(np.cos(angle) * model.mesh.face_areas @ stress / model.mesh.face_areas.sum())
+
+    place = lambda angle: np.stack([x - np.sin(angle) * z, y, np.cos(angle) * z], axis=1)  # noqa: E731
+    return _laid(specimen, fabric, path, place, force)
 
 
 @cache
@@ -159,8 +166,7 @@ def _hysteresis(setting: TrialSetting, loop: str, direction: str, weft: float) -
     instrument, share = f"{loop}_loop", weft if direction == "weft" else 1.0
     curve = _measured_loop(setting, fabric, instrument, DIRECTIONS[direction])
     if curve is None:
-        missing = "loops are measured with the default solver and with those without time"
-        return TrialResult(math.nan, math.nan, math.nan, math.nan, missing=missing)
+        return TrialResult.lost("loops are measured with the default solver and with those without time")
     if loop == "bending":
         stiffness, width, names = share * fabric.bend_warp, share * fabric.bend_hysteresis_warp, ("B", "2HB")
     else:

@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pbd import Colliders, Fabric, Plane
-from precompute.mechanics import FRAME_RATE, GRAVITY
-from precompute.validation.trial import Trial, TrialSetting, level, strip
+from precompute.experiment.measures import FRAME_RATE, GRAVITY
+from precompute.experiment.sheets import level
+from precompute.validation.trial import Trial, TrialSetting, strip
 
 __all__ = [
     "DIRECTIONS", "LoadCurve", "bending_curve", "compression_curve", "friction_coefficient", "shear_curve",

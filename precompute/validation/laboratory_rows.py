@@ -60,8 +60,7 @@ def _tension_measured(setting: TrialSetting, fabric: str, direction: str) -> Tri
     """Tension at 17 %; the error is the largest of the four strains."""
     path = Path(os.environ.get("GUBE_DATA", "out/data")) / "materials" / f"{fabric}.json"
     if not path.is_file():
-        missing = f"no file {path} (GUBE_DATA)"
-        return TrialResult(math.nan, math.nan, math.nan, math.nan, missing=missing)
+        return TrialResult.lost(f"no file {path} (GUBE_DATA)")
     cloth = replace(load_fabric(path), air_drag=0.0)
     drawn = tension_curve(setting, cloth, DIRECTIONS[direction], FAR_STRAINS)
     law = measured_tension(path, direction, drawn.deformation)

@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pbd import Fabric, InputError
+from precompute.experiment.sheets import level
 from precompute.validation.laboratory import FLAT, LoadCurve
-from precompute.validation.trial import Specimen, Trial, TrialSetting, level, strip
+from precompute.validation.trial import Specimen, Trial, TrialSetting, strip
 
 __all__ = [
     "LOOPS", "LOOP_SOLVER", "Gauge", "Reading", "bending_loop", "check_loop", "loop_area", "read_loop", "shear_loop",

@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import brentq
 
-from precompute.mechanics import FRAME_RATE, GRAVITY
+from precompute.experiment.measures import FRAME_RATE, GRAVITY
+from precompute.experiment.sheets import level
 from precompute.validation.plate_references import hencky_rise
 from precompute.validation.strip_references import elastic_catenary, hanging_stretch
-from precompute.validation.trial import FABRIC, Curve, Trial, TrialResult, TrialSetting, disc, level, strip
+from precompute.validation.trial import FABRIC, Curve, Trial, TrialResult, TrialSetting, disc, strip
 from precompute.validation.validation_row import Parameter, Row
 
 __all__ = ["ROPE", "ROWS"]

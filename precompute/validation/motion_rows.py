@@ -9,10 +9,11 @@ import numpy as np
 from scipy.optimize import curve_fit
 from scipy.special import jn_zeros, jv
 
-from precompute.mechanics import FRAME_RATE, GRAVITY
+from precompute.experiment.measures import FRAME_RATE, GRAVITY
+from precompute.experiment.sheets import level
 from precompute.validation.membrane_rows import ROPE
 from precompute.validation.strip_references import swing_period
-from precompute.validation.trial import FABRIC, Curve, Trial, TrialResult, TrialSetting, level, strip
+from precompute.validation.trial import FABRIC, Curve, Trial, TrialResult, TrialSetting, strip
 from precompute.validation.validation_row import Parameter, ParameterChoice, Row
 
 __all__ = ["ROWS"]

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
-from scipy.spatial import Delaunay, cKDTree
+from scipy.spatial import cKDTree
 
-from pbd import ClothMesh, Colliders, Fabric, Model, ModelOptions, SolverOptions, State, build_model
-from pbd.bending import hinge_calibration
+from pbd import ClothMesh, Colliders, Fabric, Model, SolverOptions, State, build_model
 from pbd.models import AnySolver, Options, make_solver
 from pbd.models.integrators import ExplicitSolver, NewtonSolver, QuasiStatic, SymplecticEuler
-from precompute.mechanics import FRAME_RATE, GRAVITY
+from precompute.experiment.measures import FRAME_RATE, GRAVITY, TimedSteps, typical_ms
+from precompute.experiment.sheets import hinge_factor, level, triangulated, untethered
 
 __all__ = [
     "FABRIC",
@@ -25,7 +24,6 @@ __all__ = [
     "TrialSetting",
     "Trial",
     "disc",
-    "level",
     "strip",
 ]
 
@@ -109,6 +107,11 @@ class TrialResult:
     def relative(cls, reference: float, measured: float, cost_ms: float, curve: Curve | None = None) -> TrialResult:
         return cls(reference, measured, abs(measured / reference - 1.0), cost_ms, curve)
 
+    @classmethod
+    def lost(cls, missing: str = "") -> TrialResult:
+        """Of a run in which a step failed, or, with a reason, of what cannot be measured."""
+        return cls(math.nan, math.nan, math.nan, math.nan, missing=missing)
+
 
 @dataclass(frozen=True)
 class Specimen:
@@ -159,11 +162,8 @@ def _filled(given: np.ndarray, inside: Callable[[np.ndarray], np.ndarray], edge:
     given = given[np.unique(np.round(given / edge, 6), axis=0, return_index=True)[1]]
     clear = (inside(lattice) > CLEARANCE * edge) & (cKDTree(given).query(lattice)[0] > CLEARANCE * edge)
     flat = np.concatenate([given, lattice[clear]])
-    faces = Delaunay(flat).simplices
-    sides = flat[faces[:, 1:]] - flat[faces[:, :1]]
-    twice = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]
-    faces[twice < 0] = faces[twice < 0][:, ::-1]
-    whole = (np.abs(twice) > 1e-3 * edge**2) & (inside(flat[faces].mean(axis=1)) > 0.0)
+    faces, twice_area = triangulated(flat)
+    whole = (twice_area > 1e-3 * edge**2) & (inside(flat[faces].mean(axis=1)) > 0.0)
     return Specimen(flat, faces[whole].astype(np.int32), edge)
 
 
@@ -171,12 +171,7 @@ def _filled(given: np.ndarray, inside: Callable[[np.ndarray], np.ndarray], edge:
 def _bend_factor(angle: float) -> float:
     """Hinge factor of this kind of mesh, measured once on a large sheet."""
     sheet = strip(1.0, 1.0, 30, 0, angle=angle)
-    return hinge_calibration(ClothMesh.from_pattern(level(sheet.flat), sheet.faces, sheet.flat[sheet.faces]))
-
-
-def level(flat: np.ndarray) -> np.ndarray:
-    """Places on the level plane: along x, across z."""
-    return np.stack([flat[:, 0], np.zeros(len(flat)), -flat[:, 1]], axis=1)
+    return hinge_factor(sheet.flat, sheet.faces, level(sheet.flat))
 
 
 @dataclass
@@ -210,18 +205,14 @@ class Trial:
         pattern = self.specimen.flat @ np.array([[cosine, -sine], [sine, cosine]])
         mesh = ClothMesh.from_pattern(self.vertices, self.specimen.faces, pattern[self.specimen.faces])
         held = np.flatnonzero(self.held) if np.asarray(self.held).dtype == bool else np.asarray(self.held, int)
-        self.model = build_model(
-            mesh, self.fabric, held, options=ModelOptions(tether_slack=0.0), bend_factor=_bend_factor(self.mesh_angle)
-        )
+        self.model = untethered(mesh, self.fabric, held, bend_factor=_bend_factor(self.mesh_angle))
         self.solver = self.setting.solver_for(self.model, self.gravity)
         self.state = State.at_rest(self.model)
-        self.times: list[float] = []
+        self._steps = TimedSteps(self.solver.step, ())
 
     def frame(self, targets: np.ndarray | None = None, *, dt: float = 1.0 / FRAME_RATE) -> None:
         """One frame; ``targets``: where the held vertices go [m]."""
-        begin = time.process_time()
-        self.solver.step(self.state, self.colliders, dt, targets)
-        self.times.append(time.process_time() - begin)
+        self._steps(self.state, self.colliders, dt, targets)
 
     def lay(self, places: np.ndarray) -> None:
         """Put the cloth to places [m], shape (n, 3), at rest, and let it come from there to its equilibrium in a frame.
@@ -253,13 +244,13 @@ class Trial:
             speed = float(np.abs(self.state.velocity).max())
             if not speed < 1e6:
                 return
-            if speed * scale < still * size and len(self.times) > 5:
+            if speed * scale < still * size and len(self._steps.times) > 5:
                 return
 
     @property
     def cost_ms(self) -> float:
         """Processor time of a frame, median [ms]."""
-        return 1e3 * float(np.median(self.times[1:]))
+        return typical_ms(self._steps.times[1:])
 
     def world(self) -> np.ndarray:
         """[m], shape (n, 3)."""

@@ -44,7 +44,6 @@ MAX_RUN_S = 20.0  # processor time of a run, on the way to the cheapest and to t
 MAX_SUBSTEPS = 4096  # of a frame
 FINER = 2  # times as many edges, where more substeps do not help
 REALTIME_MS = 4.2  # a quarter of a frame at 60 Hz: where no setting is as fast, a coarser mesh is tried [ms]
-_LOST = TrialResult(math.nan, math.nan, math.nan, math.nan)  # of a run that a step has failed in
 
 
 @dataclass(frozen=True)
@@ -168,7 +167,7 @@ class _Search:
 
     def __init__(self, row: Row, case: Mapping[str, Any], report: Callable[[str], None]) -> None:
         self.row, self._case, self._report = row, case, report
-        self.result, self.seconds, self.reason = _LOST, 0.0, ""
+        self.result, self.seconds, self.reason = TrialResult.lost(), 0.0, ""
         self.default: TrialResult | None = None
         self.realtime: tuple[TrialSetting, TrialResult] | None = None
         self.best: tuple[TrialSetting, TrialResult] | None = None
@@ -189,7 +188,7 @@ class _Search:
         try:
             result = self.row.run(setting, self._case)
         except StepError as error:
-            result, problem = _LOST, str(error)
+            result, problem = TrialResult.lost(), str(error)
         test = f"{self.row.name} {case_words(self._case)}".strip()
         self._report(f"{test}: {setting.solver}, {_setting_words(setting)}: error {_short(result.error)}")
         return result, problem

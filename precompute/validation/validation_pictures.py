@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from matplotlib.figure import Figure
-
-from precompute.reporting.cost_charts import write_png
+from precompute.reporting.cost_charts import panels, write_png
 from precompute.validation.validation import ValidationResult, case_words
 from runtime.pictures import save_png
 
 __all__ = ["draw_results"]
-
-WIDEST = 4  # panels in a row
 
 
 def draw_results(folder: Path, results: Sequence[ValidationResult]) -> list[Path]:
@@ -33,13 +28,8 @@ def draw_results(folder: Path, results: Sequence[ValidationResult]) -> list[Path
         drawn = [v for v in results if v.row.name == name and v.best.curve is not None]
         if not drawn:
             continue
-        columns = min(len(drawn), WIDEST)
-        rows = math.ceil(len(drawn) / columns)
-        figure = Figure(figsize=(4.2 * columns, 3.6 * rows), layout="constrained")
-        panels = figure.subplots(rows, columns, squeeze=False).ravel()
-        for panel in panels[len(drawn) :]:
-            panel.set_axis_off()
-        for panel, result in zip(panels, drawn, strict=False):
+        figure, places = panels(len(drawn))
+        for panel, result in zip(places, drawn, strict=True):
             curve = result.best.curve
             assert curve is not None
             panel.plot(*curve.reference, color="0.6", linewidth=2.5, label="reference")

@@ -151,23 +151,10 @@ def comparison_sections(comparison: Comparison) -> list[Section]:
     return [*sections, Text(_NOTES)]
 
 
-def draw_methods(
-    comparison: MotionComparison,
-    methods: Sequence[Method],
-    index: int | None = None,
-    *,
-    titles: Sequence[str] | None = None,
-) -> np.ndarray:
-    """One moment by some methods: uint8, shape (h, w, 3).
-
-    Args:
-        comparison: of the methods.
-        methods: to be drawn; one that broke is left out.
-        index: number of the recorded frame; None takes the middle of the motion.
-        titles: above the pictures; None takes the names.
-    """
+def draw_methods(comparison: MotionComparison, methods: Sequence[Method]) -> np.ndarray:
+    """The middle of the motion by some methods: uint8, shape (h, w, 3); one that broke is left out."""
     truth = comparison.truth
-    index = len(truth.frames) // 2 if index is None else index
+    index = len(truth.frames) // 2
     source = body_source(truth.run.body)
     body = np.zeros((len(source.vertices), 3), np.float32)
     source.skin(truth.run.poses[truth.recording.frames[index]], np.zeros(3), body)
@@ -181,7 +168,7 @@ def draw_methods(
         [render([Drawn.body(body, source.faces), Drawn(vertices, cut.faces, pattern=pattern)], camera, _PICTURE)]
         for _, vertices in shown
     ]
-    return strip(columns, titles or [name for name, _ in shown], [""])
+    return strip(columns, [name for name, _ in shown], [""])
 
 
 def _pictures(one: MotionComparison, prefix: str | None) -> list[Section]:

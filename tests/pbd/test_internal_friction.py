@@ -22,8 +22,9 @@ from pbd.bending import bends_of, friction_share
 from pbd.layers import layered
 from pbd.mesh import ClothMesh
 from pbd.xpbd.constraints import FRICTION_STIFFNESS
+from precompute.experiment.sheets import level
 from precompute.validation.friction_rows import rolled, unordered
-from precompute.validation.trial import Specimen, level, strip
+from precompute.validation.trial import Specimen, strip
 from tests.refusals import refuses
 
 HYSTERESIS = 1.2e-3  # of cotton broadcloth, Kawabata's 2HB [N]

@@ -14,7 +14,8 @@ from pbd.layers import layered
 from pbd.mesh import ClothMesh
 from pbd.models.elements import Sum
 from pbd.models.membrane import continuum_membrane
-from precompute.validation.trial import Trial, TrialSetting, level, strip
+from precompute.experiment.sheets import level
+from precompute.validation.trial import Trial, TrialSetting, strip
 
 # At 20 % it bears six times the tension of a straight line.
 KNIT = Fabric(

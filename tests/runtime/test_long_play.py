@@ -17,7 +17,7 @@ import pytest
 from assets.motion import ClipMotion
 from assets.procedural.mannequin import builtin_mannequin
 from pbd.wind import Wind
-from precompute.method_comparison.error_classes import LIMITS
+from precompute.experiment.error_classes import LIMITS
 from runtime.game_loop import GameLoop, LiveInput
 from runtime.level_of_detail import LevelOfDetail
 from runtime.player import Player
@@ -75,7 +75,7 @@ class Game:
         return LiveInput(self.motion.pose(t % self.motion.duration), self.wind, drag)
 
     def judge(self) -> None:
-        """No tick ends as a catastrophe (:data:`precompute.method_comparison.error_classes.LIMITS`)."""
+        """No tick ends as a catastrophe (:data:`precompute.experiment.error_classes.LIMITS`)."""
         self.counts["ticks"] += 1
         player, simulation = self.player, self.player.simulation
         assert np.isfinite(player.vertices).all() and np.isfinite(player.normals).all(), self.counts

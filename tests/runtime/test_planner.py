@@ -11,7 +11,7 @@ from scipy.optimize import linprog
 
 from assets.io.scene import CameraSettings
 from pbd import InputError
-from precompute.method_comparison.error_classes import LIMITS
+from precompute.experiment.error_classes import LIMITS
 from runtime.cost_table import CostTable, Setting, read_cost_table, write_cost_table
 from runtime.level_of_detail import LevelOfDetail
 from runtime.planner import HOLD, TARGETS, Planner, ViewSize, sight_of

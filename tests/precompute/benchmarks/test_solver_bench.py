@@ -2,7 +2,6 @@
 
 import csv
 import importlib.util
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,42 +12,38 @@ from precompute.benchmarks import solver_bench
 from precompute.benchmarks.constraint_cost import constraint_costs
 from precompute.benchmarks.solver_bench import (
     SolverBench,
-    SolverRun,
     bench_rows,
     bench_solver,
     bench_verdict,
     write_bench,
 )
-from precompute.method_comparison.engines import EngineRun, bench_engines
-from precompute.solver_scenes import SolverMeasurement, hanging_square, measure
+from precompute.experiment.engines import accurate, bench_engines
+from precompute.experiment.swinging_square import SquareFigures, SquareRun, hanging_square, measure
 from runtime import command
 
-GOOD = SolverMeasurement(1.0, 0.005, 0.01, 0.03, 0.24)
+GOOD = SquareFigures(1.0, 0.005, 0.01, 0.03, 0.24)
 
 
-@pytest.mark.parametrize("mesh", ["grid", "irregular"])
-def test_the_square_is_the_scene_that_was_asked_for(mesh: str) -> None:
-    scene = hanging_square(12, mesh=mesh)
-    model = scene.model
+def test_the_square_is_the_scene_that_was_asked_for() -> None:
+    model = hanging_square(12)
     assert len(model.mesh.vertices) == 144
     assert model.mass.sum() == pytest.approx(0.2, rel=2e-3)
     vertices = model.mesh.vertices
     assert vertices[model.held] == pytest.approx(np.array([[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0]]), abs=1e-9)
     lowest = vertices[vertices[:, 1].argmin()]
-    assert np.degrees(np.arctan2(lowest @ scene.forward, -lowest[1])) == pytest.approx(30.0)
-    assert len(hanging_square(12, "side", mesh=mesh).model.held) == 12
+    assert np.degrees(np.arctan2(lowest[2], -lowest[1])) == pytest.approx(30.0)
     assert len(model.tethers) == 0
 
 
 def test_stretch_and_amplitude_are_those_of_the_vertices(monkeypatch: pytest.MonkeyPatch) -> None:
     """A square whose warp is 10 % too long and that swings by 0.3 m."""
     scene = hanging_square(6)
-    start = scene.model.mesh.vertices
+    start = scene.mesh.vertices
     frames = []
 
     def step(self: Solver, state: State, colliders: Colliders, dt: float) -> None:
         frames.append(dt)
-        moved = start * [1.1, 1.0, 1.0] + 0.3 * np.sin(len(frames)) * scene.forward
+        moved = start * [1.1, 1.0, 1.0] + 0.3 * np.sin(len(frames)) * np.array([0.0, 0.0, 1.0])
         state.position[:, :3] = moved - state.origin
 
     monkeypatch.setattr(Solver, "step", step)
@@ -62,12 +57,12 @@ def test_every_limit_counts() -> None:
     assert GOOD.passes(0.24) and GOOD.passes(0.235)
     assert not GOOD.passes(0.25)
     for limit in ({"mean": 0.011}, {"p99": 0.021}, {"worst": 0.051}, {"amplitude": np.inf}, {"worst": np.nan}):
-        assert not replace(GOOD, **limit).passes(0.24)
+        assert not GOOD._replace(**limit).passes(0.24)
 
 
 def test_a_run_that_is_lost_passes_nothing() -> None:
     scene = hanging_square(6)
-    scene.model.triangle_data[:] = np.nan
+    scene.triangle_data[:] = np.nan
     assert not measure(scene, SolverOptions()).passes(0.24)
 
 
@@ -80,9 +75,9 @@ def test_more_substeps_stretch_less() -> None:
 
 def test_the_cheapest_that_passes_is_found_and_written(tmp_path: Path) -> None:
     runs = [
-        SolverRun(64, 8, 0, replace(GOOD, frame_ms=1.0, worst=0.2), False),
-        SolverRun(64, 20, 0, replace(GOOD, frame_ms=3.0), True),
-        SolverRun(64, 40, 0, replace(GOOD, frame_ms=6.0), True),
+        SquareRun("small steps", 64, 8, GOOD._replace(frame_ms=1.0, worst=0.2), False),
+        SquareRun("small steps", 64, 20, GOOD._replace(frame_ms=3.0), True),
+        SquareRun("small steps", 64, 40, GOOD._replace(frame_ms=6.0), True),
     ]
     bench = SolverBench(runs, {64: 0.24}, {"distance_constraint_ns": 5.0, "scalar_limit_constraint_ns": 4.0})
     figures = bench.figures()
@@ -121,10 +116,13 @@ def test_rows_are_the_runs() -> None:
 
 
 def test_a_measured_rival_takes_the_place_of_a_quoted_one(tmp_path: Path) -> None:
-    dear, cheap = replace(GOOD, frame_ms=30.0), replace(GOOD, frame_ms=20.0)
-    failed = replace(GOOD, frame_ms=10.0, worst=0.06)
-    baselines = [EngineRun("Newton XPBD", 64, words, run) for words, run in (("a", dear), ("b", cheap), ("c", failed))]
-    runs = [SolverRun(64, 20, 0, GOOD, True)]
+    dear, cheap = GOOD._replace(frame_ms=30.0), GOOD._replace(frame_ms=20.0)
+    failed = GOOD._replace(frame_ms=10.0, worst=0.06)
+    baselines = [
+        SquareRun("Newton XPBD", 64, words, run, accurate(run))
+        for words, run in (("a", dear), ("b", cheap), ("c", failed))
+    ]
+    runs = [SquareRun("small steps", 64, 20, GOOD, True)]
     bench = SolverBench(runs, {64: 0.24}, {"distance_constraint_ns": 5.0}, baselines)
     assert bench.figures()["rival_newton_xpbd_ms_64"] == 20.0
     assert "cheapest measured: Newton XPBD, 20 ms with 100 % of the swing." in bench_verdict(bench)

@@ -12,12 +12,13 @@ import pytest
 
 from pbd import Colliders, InputError, Plane, Solver, State
 from pbd.models.newton import StepError
+from precompute.experiment.error_classes import ErrorClass
+from precompute.experiment.sheets import square
 from precompute.failures import failure_comparisons, failure_play
 from precompute.failures.failure_comparisons import comparisons
 from precompute.failures.failure_play import FailureOutcome, FailureScene, play
-from precompute.failures.failure_scenes import HUNG, scenes, square
+from precompute.failures.failure_scenes import HUNG, scenes
 from precompute.failures.failures import all_failure_rows, failure_rows, failure_table, write_failures
-from precompute.method_comparison.error_classes import ErrorClass
 from runtime.command import main
 from tests.data import ROOT
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from pbd import InputError
+from precompute.experiment.engines import ENGINES
+from precompute.experiment.error_classes import ErrorClass
 from precompute.method_comparison import scene_compare, scene_judging
 from precompute.method_comparison.compare_scenes import SCENES, Sheet, scene_of
-from precompute.method_comparison.error_classes import ErrorClass
-from precompute.method_comparison.scene_baselines import BASELINES
 from precompute.method_comparison.scene_compare import METHODS, SceneComparison, chosen_settings, compare_scenes
 from precompute.method_comparison.scene_judging import Judge, reference_settings
 from precompute.method_comparison.scene_page import COLORS, comparison_figures, comparison_text, write_comparison
@@ -209,4 +209,4 @@ def test_a_judge_of_one_reference_has_no_floor() -> None:
 
 
 def test_every_engine_has_settings_of_its_own() -> None:
-    assert set(scene_compare.BASELINES) == set(BASELINES)
+    assert set(scene_compare.BASELINES) == set(ENGINES)

@@ -10,8 +10,8 @@ import pytest
 
 from pbd import SolverOptions
 from pbd.models import Options, make_solver
-from precompute.method_comparison.error_classes import ErrorClass, classify
-from precompute.stability.stability_cells import Frames, Reference, judge, lattice_of
+from precompute.experiment.error_classes import ErrorClass, classify
+from precompute.stability.stability_cells import Frames, judge, lattice_of
 from precompute.stability.stability_maps import MAPS, StabilityMap, chosen_cell
 from precompute.stability.stability_page import stability_text, write_stability
 from precompute.stability.stability_sweep import StabilitySweep, cell_command, sweep
@@ -137,11 +137,11 @@ def test_a_ring_that_leaves_the_post_is_tunnelling() -> None:
     scene = one.scene(x, y, "triangles")
     times = y * np.arange(61)
     still = np.repeat(scene.start[None], 61, axis=0)
-    reference = Reference(times, still, np.zeros_like(still), 0.0, False)
+    reference = Frames(times, still, np.zeros_like(still))
     moved = still.copy()
     moved[40:, scene.rings[-1], 0] += 2.0
     for position, kind in ((still, ErrorClass.IMPERCEPTIBLE), (moved, ErrorClass.CATASTROPHIC)):
-        figures = judge(scene, Frames(times, position, np.zeros_like(still), 0.0, ""), reference)
+        figures = judge(scene, Frames(times, position, np.zeros_like(still)), reference)
         assert classify(figures)["through_percent"] is kind
     assert figures["through_percent"] == pytest.approx(100.0 / len(scene.rings))
 

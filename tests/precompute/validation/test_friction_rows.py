@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from precompute.experiment.sheets import level
 from precompute.validation.friction_rows import _folded, _mode, _most_curved, _peaks
-from precompute.validation.trial import TrialSetting, level, strip
+from precompute.validation.trial import TrialSetting, strip
 from precompute.validation.validation import ROWS
 
 ROOT = 1.875104068711961

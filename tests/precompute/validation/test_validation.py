@@ -10,10 +10,11 @@ import pytest
 
 from pbd import InputError
 from pbd.models import StepError
+from precompute.experiment.sheets import level
 from precompute.validation.bending_rows import critical_gamma, hinge_poisson
 from precompute.validation.laboratory import tension_curve
 from precompute.validation.strip_references import tall_column, upright_gamma
-from precompute.validation.trial import FABRIC, Curve, Trial, TrialResult, TrialSetting, disc, level, strip
+from precompute.validation.trial import FABRIC, Curve, Trial, TrialResult, TrialSetting, disc, strip
 from precompute.validation.validation import ROWS, chosen_rows, result_row, validate, validation_text
 from precompute.validation.validation_pictures import draw_results
 from precompute.validation.validation_row import Parameter, Row

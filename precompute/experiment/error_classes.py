@@ -14,7 +14,7 @@ from enum import IntEnum
 import numpy as np
 
 from pbd import InputError
-from precompute.mechanics import GRAVITY
+from precompute.experiment.measures import GRAVITY, edge_strain
 from wrinkles.mesh_measures import jitter_px, pixel_distance
 
 __all__ = ["LIMITS", "ErrorClass", "Recorded", "classify", "deviations", "longest_run"]
@@ -115,7 +115,7 @@ def deviations(
     later = slice(min(round(START / run.dt), len(run.position) - 1), None)
     x, truth = run.position[later].astype(float), reference.position[later].astype(float)
     found: dict[str, float] = {"not_finite": 0.0}
-    strain, wanted = _strain(x, edges, rest_lengths), _strain(truth, edges, rest_lengths)
+    strain, wanted = edge_strain(x, edges, rest_lengths), edge_strain(truth, edges, rest_lengths)
     if chaotic:
         found["edge_strain_p95"] = abs(np.percentile(np.abs(strain), 95) - np.percentile(np.abs(wanted), 95))
         found["edge_strain_max"] = abs(strain.max() - wanted.max())
@@ -162,11 +162,6 @@ def _class(value: float, limits: tuple[float, float, float]) -> ErrorClass:
     if value <= limits[0]:
         return ErrorClass.IMPERCEPTIBLE
     return ErrorClass.ACCEPTED if value <= limits[1] else ErrorClass.VISIBLE
-
-
-def _strain(position: np.ndarray, edges: np.ndarray, rest_lengths: np.ndarray) -> np.ndarray:
-    """Shape (f, e)."""
-    return np.linalg.norm(position[:, edges[:, 1]] - position[:, edges[:, 0]], axis=2) / rest_lengths - 1.0
 
 
 def _folded(position: np.ndarray, hinges: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pbd import InputError
-from precompute.method_comparison.error_classes import LIMITS, ErrorClass, Recorded, classify, deviations
+from precompute.experiment.error_classes import LIMITS, ErrorClass, Recorded, classify, deviations
 
 DT = 1.0 / 60.0
 EDGES = np.array([[0, 1], [1, 2]])

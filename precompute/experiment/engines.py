@@ -1,4 +1,4 @@
-"""Other engines on the swinging square: those that pip installs with the extra ``rivals``.
+"""Other engines: those that pip installs with the extra ``rivals``, on the swinging square and on other cloth.
 
 Each takes the same vertices, faces and masses, starts from the same rest and is judged by the same limits. Stiffness
 and steps, which every engine defines in its own way, are tried at a few values about the cheapest that gave mean and
@@ -14,52 +14,32 @@ from typing import Any
 
 import numpy as np
 
-from pbd import InputError
-from precompute.mechanics import FRAME_RATE, GRAVITY
+from pbd import InputError, Model
+from precompute.experiment.measures import FRAME_RATE, GRAVITY
+from precompute.experiment.swinging_square import SquareFigures, SquareRun, hanging_square, measure_steps
 from precompute.scratch import scratch_folder
-from precompute.solver_scenes import SolverMeasurement, SolverScene, hanging_square, measure_steps
 
-__all__ = ["ENGINES", "EngineRun", "bench_engines"]
+__all__ = ["ENGINES", "accurate", "bench_engines", "start_engine"]
 
 SIDE = 64  # vertices along a side
+BLENDER = 160.0  # its stiffness for E h = 1e5 N/m at 64 by 64; it has no unit that would give it for another fabric
+SPRING = 0.75  # stiffness of an edge over E h, as in the square lattice of natural lengths
 
 Steps = tuple[Callable[[], None], Callable[[], np.ndarray]]
 
 
-@dataclass(frozen=True)
-class EngineRun:
-    """One setting of another engine.
-
-    Attributes:
-        name: of the engine.
-        side: vertices along a side of the square.
-        setting: its settings, in words.
-        measured: the result.
-    """
-
-    name: str
-    side: int
-    setting: str
-    measured: SolverMeasurement
-
-    @property
-    def passed(self) -> bool:
-        """Mean below 1 % and worst below 5 %, the limits that the quoted points were found with."""
-        return bool(self.measured.mean < 0.01 and self.measured.worst < 0.05)
-
-
-def _position_based_dynamics(scene: SolverScene, substeps: int) -> Steps:
+def _position_based_dynamics(garment: Model, substeps: int) -> Steps:
     """Library PositionBasedDynamics, XPBD distances of 1e5 N/m, one iteration a substep."""
     import pypbd as pbd  # pyright: ignore[reportMissingImports]
 
     simulation = pbd.Simulation.getCurrent()
     simulation.initDefault()
     model = simulation.getModel()
-    mesh = scene.model.mesh
+    mesh = garment.mesh
     cloth = model.addTriangleModel(list(mesh.vertices), mesh.faces.ravel().tolist(), [], [], False)
     particles = model.getParticles()
-    for i, mass in enumerate(scene.model.mass):
-        particles.setMass(i, 0.0 if scene.model.inverse_mass[i] == 0 else float(mass))
+    for i, mass in enumerate(garment.mass):
+        particles.setMass(i, 0.0 if garment.inverse_mass[i] == 0 else float(mass))
     model.addClothConstraints(cloth, 4, 1e5, 1.0, 1.0, 1.0, 0.3, 0.3, False, False)
     controller = simulation.getTimeStep()
     controller.setValueUInt(pbd.TimeStepController.NUM_SUB_STEPS, substeps)
@@ -68,16 +48,16 @@ def _position_based_dynamics(scene: SolverScene, substeps: int) -> Steps:
     return lambda: controller.step(model), lambda: np.array(particles.getVertices(), float).reshape(-1, 3)
 
 
-def _newton_xpbd(scene: SolverScene, substeps: int, stiffness: float) -> Steps:
+def _newton_xpbd(cloth: Model, substeps: int, stiffness: float) -> Steps:
     """Newton's XPBD on the processor: springs along all edges, one iteration a substep."""
     import newton  # pyright: ignore[reportMissingImports]
     import warp  # pyright: ignore[reportMissingImports]
 
     warp.config.quiet = True
     warp.set_device("cpu")
-    mesh, inverse_mass = scene.model.mesh, scene.model.inverse_mass
+    mesh, inverse_mass = cloth.mesh, cloth.inverse_mass
     builder = newton.ModelBuilder(up_axis=newton.Axis.Y, gravity=(0.0, -GRAVITY, 0.0))
-    for x, mass, inverse in zip(mesh.vertices, scene.model.mass, inverse_mass, strict=True):
+    for x, mass, inverse in zip(mesh.vertices, cloth.mass, inverse_mass, strict=True):
         builder.add_particle(warp.vec3(*x), warp.vec3(0.0), float(mass) if inverse > 0 else 0.0, radius=1e-4)
     for i, j in mesh.edge_lengths()[0]:
         builder.add_spring(int(i), int(j), stiffness, 0.0, 0.0)
@@ -94,15 +74,15 @@ def _newton_xpbd(scene: SolverScene, substeps: int, stiffness: float) -> Steps:
     return step, lambda: states[0].particle_q.numpy().astype(float)
 
 
-def _mujoco(scene: SolverScene, young: float, iterations: int) -> Steps:
+def _mujoco(cloth: Model, young: float, iterations: int) -> Steps:
     """MuJoCo's elastic sheet with one implicit step a frame."""
     import mujoco  # pyright: ignore[reportMissingImports]
 
-    mesh, held = scene.model.mesh, scene.model.held
+    mesh, held = cloth.mesh, cloth.held
     numbers = lambda values: " ".join(f"{value:.9g}" for value in np.ravel(values))  # noqa: E731
     text = f"""<mujoco><option timestep="{1 / FRAME_RATE:.9f}" gravity="0 {-GRAVITY} 0" solver="CG" tolerance="1e-3"
         iterations="{iterations}" integrator="discrete"><flag contact="disable"/></option>
-        <size memory="2G"/><worldbody><flexcomp name="cloth" type="direct" dim="2" mass="{scene.model.mass.sum():.9g}"
+        <size memory="2G"/><worldbody><flexcomp name="cloth" type="direct" dim="2" mass="{cloth.mass.sum():.9g}"
         radius="0.001" point="{numbers(mesh.vertices)}" element="{numbers(mesh.faces)}">
         <pin id="{numbers(held)}"/><contact selfcollide="none"/>
         <elasticity young="{young}" poisson="0.3" thickness="0.001" elastic2d="stretch" damping="1e-4"/>
@@ -113,11 +93,11 @@ def _mujoco(scene: SolverScene, young: float, iterations: int) -> Steps:
     return lambda: mujoco.mj_step(model, data), lambda: data.flexvert_xpos.reshape(-1, 3).copy()
 
 
-def _pybullet(scene: SolverScene, substeps: int, stiffness: float) -> Steps:
+def _pybullet(garment: Model, substeps: int, stiffness: float) -> Steps:
     """PyBullet's deformable mass-spring cloth."""
     import pybullet  # pyright: ignore[reportMissingImports]
 
-    mesh = scene.model.mesh
+    mesh = garment.mesh
     client = pybullet.connect(pybullet.DIRECT)
     pybullet.resetSimulation(pybullet.RESET_USE_DEFORMABLE_WORLD, physicsClientId=client)
     pybullet.setGravity(0.0, -GRAVITY, 0.0, physicsClientId=client)
@@ -127,11 +107,11 @@ def _pybullet(scene: SolverScene, substeps: int, stiffness: float) -> Steps:
         lines = [f"v {x:.9f} {y:.9f} {z:.9f}" for x, y, z in mesh.vertices]
         path.write_text("\n".join([*lines, *(f"f {a} {b} {c}" for a, b, c in mesh.faces + 1)]), encoding="utf-8")
         cloth = pybullet.loadSoftBody(
-            str(path), mass=float(scene.model.mass.sum()), useMassSpring=1, useBendingSprings=0, useNeoHookean=0,
+            str(path), mass=float(garment.mass.sum()), useMassSpring=1, useBendingSprings=0, useNeoHookean=0,
             springElasticStiffness=stiffness, springDampingStiffness=0.1, springBendingStiffness=0.0,
             springDampingAllDirections=0, useSelfCollision=0, physicsClientId=client,
         )  # fmt: skip
-    for vertex in scene.model.held:
+    for vertex in garment.held:
         pybullet.createSoftBodyAnchor(cloth, int(vertex), -1, -1, physicsClientId=client)
 
     def step() -> None:
@@ -145,14 +125,14 @@ def _pybullet(scene: SolverScene, substeps: int, stiffness: float) -> Steps:
     return step, world
 
 
-def _blender(scene: SolverScene, steps: int, stiffness: float) -> Steps:
+def _blender(garment: Model, steps: int, stiffness: float) -> Steps:
     """Blender's cloth modifier: implicit mass-spring with the mass of a vertex that it comes with.
 
     Its stiffness goes with that mass; with that of a real vertex its solver stops before the cloth has moved.
     """
     import bpy  # pyright: ignore[reportMissingImports]
 
-    model, mesh = scene.model, scene.model.mesh
+    mesh = garment.mesh
     bpy.ops.wm.read_factory_settings(use_empty=True)
     world = bpy.context.scene
     world.render.fps, world.gravity = int(FRAME_RATE), (0.0, -GRAVITY, 0.0)
@@ -160,7 +140,7 @@ def _blender(scene: SolverScene, steps: int, stiffness: float) -> Steps:
     shape.from_pydata(mesh.vertices.tolist(), [], mesh.faces.tolist())
     item = bpy.data.objects.new("cloth", shape)
     world.collection.objects.link(item)
-    item.vertex_groups.new(name="held").add(model.held.tolist(), 1.0, "REPLACE")
+    item.vertex_groups.new(name="held").add(garment.held.tolist(), 1.0, "REPLACE")
     cloth = item.modifiers.new("cloth", "CLOTH")
     cloth.point_cache.frame_end = 1_000_000
     cloth.collision_settings.use_collision = False
@@ -182,58 +162,93 @@ def _blender(scene: SolverScene, steps: int, stiffness: float) -> Steps:
 
 
 @dataclass(frozen=True)
-class _Engine:
+class Engine:
     """How an engine is installed and set.
 
     Attributes:
+        name: for people.
         module: that it is imported as.
-        start: makes the scene.
-        settings: that are tried.
+        start: gives it a cloth.
+        settings: that are tried on the swinging square.
+        options: of its start for another cloth, from E h [N/m], substeps and passes.
     """
 
+    name: str
     module: str
     start: Callable[..., Steps]
     settings: Sequence[Mapping[str, Any]]
+    options: Callable[[float, int, int], Mapping[str, Any]]
 
 
+# By the names of their packages.
 ENGINES = MappingProxyType({
-    "PositionBasedDynamics": _Engine("pypbd", _position_based_dynamics, [{"substeps": n} for n in (80, 110, 140)]),
-    "Newton XPBD": _Engine(
-        "newton", _newton_xpbd, [{"substeps": n, "stiffness": k} for n, k in ((150, 1e3), (200, 1e3), (260, 1e3))]
+    "newton": Engine(
+        "Newton XPBD", "newton", _newton_xpbd, [{"substeps": n, "stiffness": 1e3} for n in (150, 200, 260)],
+        lambda modulus, n, k: {"substeps": n, "stiffness": SPRING * modulus},
     ),
-    "MuJoCo, elastic": _Engine(
-        "mujoco", _mujoco, [{"young": e, "iterations": n} for e, n in ((1e6, 100), (2e6, 100), (4e6, 200))]
+    "pypbd": Engine(
+        "PositionBasedDynamics", "pypbd", _position_based_dynamics, [{"substeps": n} for n in (80, 110, 140)],
+        lambda modulus, n, k: {"substeps": n},
     ),
-    "Blender": _Engine(
-        "bpy", _blender, [{"steps": n, "stiffness": k} for n, k in ((1, 160.0), (1, 240.0), (2, 160.0))]
+    "bpy": Engine(
+        "Blender", "bpy", _blender, [{"steps": n, "stiffness": k} for n, k in ((1, 160.0), (1, 240.0), (2, 160.0))],
+        lambda modulus, n, k: {"steps": n, "stiffness": BLENDER},
     ),
-    "PyBullet": _Engine("pybullet", _pybullet, [{"substeps": n, "stiffness": 1500.0} for n in (140, 180)]),
+    "mujoco": Engine(
+        "MuJoCo, elastic", "mujoco", _mujoco,
+        [{"young": e, "iterations": n} for e, n in ((1e6, 100), (2e6, 100), (4e6, 200))],
+        lambda modulus, n, k: {"young": modulus / 1e-3, "iterations": k},
+    ),
+    "pybullet": Engine(
+        "PyBullet", "pybullet", _pybullet, [{"substeps": n, "stiffness": 1500.0} for n in (140, 180)],
+        lambda modulus, n, k: {"substeps": n, "stiffness": SPRING * modulus},
+    ),
 })  # fmt: skip
+BENCHED = ("pypbd", "newton", "mujoco", "bpy", "pybullet")  # in this order
 
 
-def bench_engines(
-    report: Callable[[str], None] = lambda line: None, *, names: Sequence[str] = tuple(ENGINES)
-) -> list[EngineRun]:
-    """Measure the engines; many minutes.
+def accurate(found: SquareFigures) -> bool:
+    """Mean stretch below 1 % and worst below 5 %, the limits that the quoted points were found with."""
+    return found.mean < 0.01 and found.worst < 0.05
+
+
+def start_engine(name: str, model: Model, substeps: int | None, passes: int | None) -> Steps:
+    """An engine with a cloth: functions that advance it by a frame of 1/60 s and give its vertices [m], shape (n, 3).
+
+    Bending and air are left out; `mujoco` takes one step a frame and reads passes, the others read substeps.
+
+    Raises:
+        InputError: the engine is not installed.
+    """
+    engine = ENGINES[name]
+    if importlib.util.find_spec(engine.module) is None:
+        raise InputError("not installed", key="--methods", received=name, expected="pip install 'gube[rivals]'")
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    modulus = float(np.sqrt(model.fabric.stretch_warp * model.fabric.stretch_weft))
+    return engine.start(model, **engine.options(modulus, substeps or 20, passes or 100))
+
+
+def bench_engines(report: Callable[[str], None] = lambda line: None) -> list[SquareRun]:
+    """Measure the engines on the square; many minutes.
 
     Args:
         report: called with a line of progress.
-        names: of the engines, keys of ``ENGINES``.
 
     Raises:
         InputError: an engine that is not installed.
     """
-    missing = [name for name in names if importlib.util.find_spec(ENGINES[name].module) is None]
+    engines = [ENGINES[name] for name in BENCHED]
+    missing = [engine.name for engine in engines if importlib.util.find_spec(engine.module) is None]
     if missing:
         raise InputError(
             "engines that are not installed", key="rivals", received=missing, expected="pip install 'gube[rivals]'"
         )
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    scene, runs = hanging_square(SIDE), []
-    for name in names:
-        baseline = ENGINES[name]
-        for setting in baseline.settings:
+    cloth, runs = hanging_square(SIDE), []
+    for engine in engines:
+        for setting in engine.settings:
             words = ", ".join(f"{key} {value:g}" for key, value in setting.items())
-            report(f"{name}: {words}")
-            runs.append(EngineRun(name, SIDE, words, measure_steps(scene, *baseline.start(scene, **setting))))
+            report(f"{engine.name}: {words}")
+            found = measure_steps(cloth, *engine.start(cloth, **setting))
+            runs.append(SquareRun(engine.name, SIDE, words, found, accurate(found)))
     return runs
