@@ -2,7 +2,7 @@
 PYTHON ?= $(firstword $(foreach name,python3.11 python3,$(if $(shell $(name) -c 'import sys; \
 	print((3, 11) <= sys.version_info[:2] <= (3, 13) or "")' 2>/dev/null),$(name))))
 BIN := .venv/bin
-WEB := runtime/web
+WEB := runtime/export/web
 WEB_SOURCES := package.json package-lock.json $(WEB)/three.js
 export PYTHONHASHSEED := 0
 export GUBE_DATA ?= $(CURDIR)/../shared/data
@@ -21,7 +21,7 @@ gallery: .venv/ready
 
 # Measures and draws the presets of fabrics: docs/fabric-presets.png and the table of docs/fabrics.md.
 fabrics: .venv/ready
-	$(BIN)/python -m docs.site.fabrics
+	$(BIN)/python -m docs.site.fabric_presets
 
 # Sews the built-in garments anew: assets/data/*.npz.
 garments: .venv/ready
@@ -111,4 +111,4 @@ lock:
 		--no-header --no-annotate --no-emit-index-url $(UPGRADE) --output-file requirements.lock
 
 clean:
-	rm -rf .venv node_modules runtime/web/built build dist out *.egg-info .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv node_modules runtime/export/web/built build dist out *.egg-info .pytest_cache .ruff_cache .hypothesis

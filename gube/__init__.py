@@ -17,23 +17,23 @@ SOURCES = {
     "ClipMotion": "assets.motion:ClipMotion",
     "ClothMesh": "pbd.mesh:ClothMesh",
     "Colliders": "pbd.contact.colliders:Colliders",
-    "LevelOfDetail": "runtime.level_of_detail:LevelOfDetail",
+    "LevelOfDetail": "runtime.play.level_of_detail:LevelOfDetail",
     "DistanceField": "pbd.contact.distance_field:DistanceField",
     "FABRICS": "assets.fabrics:PRESETS",
     "Fabric": "pbd.fabric:Fabric",
-    "GameLoop": "runtime.game_loop:GameLoop",
-    "GarmentGroup": "runtime.garment_group:GarmentGroup",
+    "GameLoop": "runtime.play.game_loop:GameLoop",
+    "GarmentGroup": "runtime.detail.garment_group:GarmentGroup",
     "InputError": "pbd.errors:InputError",
     "LearningOptions": "precompute.learning.options:LearningOptions",
-    "LiveInput": "runtime.game_loop:LiveInput",
+    "LiveInput": "runtime.play.game_loop:LiveInput",
     "Model": "pbd.model:Model",
     "ModelOptions": "pbd.model:ModelOptions",
     "Plane": "pbd.contact.colliders:Plane",
-    "Planner": "runtime.planner:Planner",
-    "Player": "runtime.player:Player",
+    "Planner": "runtime.detail.planner:Planner",
+    "Player": "runtime.play.player:Player",
     "SOLVERS": "pbd.models.registry:SOLVERS",
-    "ViewSize": "runtime.planner:ViewSize",
-    "Simulation": "runtime.simulation:Simulation",
+    "ViewSize": "runtime.detail.planner:ViewSize",
+    "Simulation": "runtime.play.simulation:Simulation",
     "Solver": "pbd.xpbd.solver:Solver",
     "SolverOptions": "pbd.xpbd.solver:SolverOptions",
     "Sphere": "pbd.contact.colliders:Sphere",
@@ -41,7 +41,7 @@ SOURCES = {
     "StepError": "pbd.models.newton:StepError",
     "Wind": "pbd.wind:Wind",
     "WrinkleDatabase": "wrinkles.database:WrinkleDatabase",
-    "bake_glb": "runtime.bake:bake_glb",
+    "bake_glb": "runtime.export.animation_files:bake_glb",
     "build_model": "pbd.model:build_model",
     "ensure_initialized": "pbd.engine:ensure_initialized",
     "load_character": "assets.loading:load_character",
@@ -50,11 +50,11 @@ SOURCES = {
     "load_scene": "assets.io.scene:load_scene",
     "make_solver": "pbd.models.registry:make_solver",
     "parse_scene": "assets.io.scene:parse_scene",
-    "player_of": "runtime.player:player_of",
+    "player_of": "runtime.play.player:player_of",
     "precompute": "precompute.learning.pipeline:precompute",
-    "read_cost_table": "runtime.cost_table:read_cost_table",
+    "read_cost_table": "runtime.detail.cost_table:read_cost_table",
     "read_database": "wrinkles.database_file:read_database",
-    "simulation_of": "runtime.scene_simulation:simulation_of",
+    "simulation_of": "runtime.setup.scene_simulation:simulation_of",
 }
 
 if TYPE_CHECKING:
@@ -88,18 +88,18 @@ if TYPE_CHECKING:
     from pbd.xpbd.solver import SolverOptions as SolverOptions
     from precompute.learning.options import LearningOptions as LearningOptions
     from precompute.learning.pipeline import precompute as precompute
-    from runtime.bake import bake_glb as bake_glb
-    from runtime.cost_table import read_cost_table as read_cost_table
-    from runtime.game_loop import GameLoop as GameLoop
-    from runtime.game_loop import LiveInput as LiveInput
-    from runtime.garment_group import GarmentGroup as GarmentGroup
-    from runtime.level_of_detail import LevelOfDetail as LevelOfDetail
-    from runtime.planner import Planner as Planner
-    from runtime.planner import ViewSize as ViewSize
-    from runtime.player import Player as Player
-    from runtime.player import player_of as player_of
-    from runtime.scene_simulation import simulation_of as simulation_of
-    from runtime.simulation import Simulation as Simulation
+    from runtime.detail.cost_table import read_cost_table as read_cost_table
+    from runtime.detail.garment_group import GarmentGroup as GarmentGroup
+    from runtime.detail.planner import Planner as Planner
+    from runtime.detail.planner import ViewSize as ViewSize
+    from runtime.export.animation_files import bake_glb as bake_glb
+    from runtime.play.game_loop import GameLoop as GameLoop
+    from runtime.play.game_loop import LiveInput as LiveInput
+    from runtime.play.level_of_detail import LevelOfDetail as LevelOfDetail
+    from runtime.play.player import Player as Player
+    from runtime.play.player import player_of as player_of
+    from runtime.play.simulation import Simulation as Simulation
+    from runtime.setup.scene_simulation import simulation_of as simulation_of
     from wrinkles.database import WrinkleDatabase as WrinkleDatabase
     from wrinkles.database_file import read_database as read_database
 

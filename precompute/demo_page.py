@@ -46,7 +46,7 @@ def newcomer_sections(
         frame_ms: processor time of a frame, body included [ms].
         picture: uint8, shape (h, w, 3).
         seconds: that all of it took [s].
-        better: the better choice, see :func:`runtime.info.better_choice`.
+        better: the better choice, see :func:`runtime.output.database_info.better_choice`.
     """
     database, truth = learned.database, learned.truth
     assert truth is not None and learned.evaluation is not None

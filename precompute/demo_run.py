@@ -27,14 +27,14 @@ from precompute.learning.stages import StageClock
 from precompute.learning.truth import Truth, settled, truth_runs
 from precompute.reporting.html_page import write_page
 from precompute.workers import Workers
-from runtime.bake import bake_glb
-from runtime.garment_setup import GarmentSetup
-from runtime.glb import BYTES_A_VERTEX
-from runtime.info import better_choice
-from runtime.picture_content import Drawn, frame_camera
-from runtime.pictures import render, save_png, strip
-from runtime.play import posed_bodies
-from runtime.shown_body import shown_body
+from runtime.draw.picture_content import Drawn, frame_camera
+from runtime.draw.pictures import render, save_png, strip
+from runtime.draw.shown_body import shown_body
+from runtime.export.animation_files import bake_glb
+from runtime.export.free_run import posed_bodies
+from runtime.export.glb import BYTES_A_VERTEX
+from runtime.output.database_info import better_choice
+from runtime.setup.garment_setup import GarmentSetup
 from wrinkles.metrics import normal_error_deg
 
 __all__ = ["FULL", "SHORT", "STAGES", "WORDS", "Demo", "DemoResult", "draw_moments", "introduction", "run_demo"]

@@ -7,7 +7,7 @@ it began. Tests that begin together would compile the same kernels each for itse
 from __future__ import annotations
 
 from precompute.learning.truth import fine_run
-from runtime.player import Player
+from runtime.play.player import Player
 from tests.runtime.players import outfit_database, skirt_database, skirt_stage
 
 DT = 1.0 / 60.0

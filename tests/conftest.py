@@ -9,7 +9,7 @@ import pytest
 from xdist.scheduler import LoadFileScheduling
 
 from pbd import ensure_initialized
-from runtime import report
+from runtime.output import report
 
 ROOT = Path(__file__).parent.parent
 

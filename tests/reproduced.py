@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from pbd import Capsule, Colliders, Fabric, Solver, SolverOptions, Sphere, State, build_model
-from runtime.player import Player
-from runtime.simulation import poses_of
-from runtime.terminal import say
+from runtime.output.terminal import say
+from runtime.play.player import Player
+from runtime.play.simulation import poses_of
 from tests.pbd.meshes import body_of, cloth, free_model, grid, icosphere
 from tests.runtime.players import skirt_database, skirt_stage
 

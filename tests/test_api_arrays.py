@@ -17,7 +17,7 @@ from assets.character import Clip
 from pbd.arrays import floats, integers
 from pbd.limits import Limits, LimitTargets
 from pbd.models.stepping import Options
-from runtime.simulation import body_source
+from runtime.play.simulation import body_source
 from tests.refusals import refuses
 from tests.runtime.players import skirt_database, skirt_stage
 from tests.wrinkles.databases import small_database

@@ -13,8 +13,8 @@ from assets.io.converted import write_garment
 from assets.io.scene import load_scene
 from assets.motion import ClipMotion
 from assets.procedural.mannequin import builtin_mannequin
-from runtime import command
-from runtime.bake import bake_glb
+from runtime.cli import command
+from runtime.export.animation_files import bake_glb
 from runtime.viewer.viewer import Viewer
 from tests.data import ROOT
 from tests.documents import commands, prose_and_code

@@ -14,9 +14,9 @@ from markdown.extensions.toc import slugify
 
 import gube
 from docs.site.build import NAV, front_page
-from docs.site.fabrics import BEGIN, END, PAGE, numbers_table
+from docs.site.fabric_presets import BEGIN, END, PAGE, numbers_table
 from docs.site.pages import GENERATED, TABLES, attribute_texts, options_page, scene_keys
-from runtime.command import COMMANDS, parser
+from runtime.cli.command import COMMANDS, parser
 from tests.data import ROOT
 from tests.documents import commands, prose_and_code
 from tests.sentences import paragraphs_of_code, paragraphs_of_page, unclear

@@ -17,7 +17,7 @@ from tests.processes import python
 FLOORS = ("pbd", "assets", "wrinkles", "runtime", "precompute", "gube")  # ground floor first, the roof last
 PLAYING = FLOORS[:4]
 NOT_FOR_PLAYING = ("sklearn", "matplotlib", "pyvista", "dask")
-TABLE_OF_COMMANDS = Path("runtime/command.py")  # alone names modules above its own floor
+TABLE_OF_COMMANDS = Path("runtime/cli/command.py")  # alone names modules above its own floor
 TABLES = (TABLE_OF_COMMANDS, Path("gube/__init__.py"))  # alone import modules by name
 EXTENSION = ROOT / "runtime" / "blender"  # runs inside Blender, and so has rules of its own
 FOR_BLENDER = sorted(EXTENSION.glob("*.py"))
@@ -63,19 +63,19 @@ def test_imports_run_one_way() -> None:
     [
         ("pbd/a.py", "import assets", "imports assets"),
         ("pbd/a.py", "def f():\n    from wrinkles.b import c", "imports wrinkles"),
-        ("assets/a.py", "try:\n    import runtime.player\nexcept ImportError: pass", "imports runtime"),
+        ("assets/a.py", "try:\n    import runtime.play.player\nexcept ImportError: pass", "imports runtime"),
         ("runtime/a.py", "def f():\n    import precompute.b", "imports precompute"),
-        ("runtime/command.py", "from precompute import b", "imports precompute"),
-        ("runtime/command.py", "def f():\n    from precompute import b", "imports precompute"),
-        ("runtime/commands/a.py", "B = 'precompute.commands.b'", "names precompute.commands.b"),
-        ("runtime/commands/a.py", "B = {'c': 'precompute.b:run'}", "names precompute.b:run"),
+        ("runtime/cli/command.py", "from precompute import b", "imports precompute"),
+        ("runtime/cli/command.py", "def f():\n    from precompute import b", "imports precompute"),
+        ("runtime/cli/commands/a.py", "B = 'precompute.commands.b'", "names precompute.commands.b"),
+        ("runtime/cli/commands/a.py", "B = {'c': 'precompute.b:run'}", "names precompute.b:run"),
         ("pbd/a.py", "import importlib\nimportlib.import_module(f'{f}.b')", "calls import_module"),
         ("assets/a.py", "__import__(name)", "calls __import__"),
         ("wrinkles/a.py", "from sklearn.linear_model import Ridge", "imports sklearn outside a function"),
         ("assets/a.py", "from . import b", "imports ."),
         ("precompute/a.py", "import tests.data", "imports tests"),
         ("precompute/a.py", "from gube import Player", "imports gube"),
-        ("runtime/command.py", "def demo():\n    import gube", "imports gube"),
+        ("runtime/cli/command.py", "def demo():\n    import gube", "imports gube"),
     ],
 )
 def test_a_breach_is_found(module: str, source: str, problem: str) -> None:
@@ -85,7 +85,7 @@ def test_a_breach_is_found(module: str, source: str, problem: str) -> None:
 @pytest.mark.parametrize(
     ("module", "source"),
     [
-        ("runtime/command.py", "TABLE = {'demo': 'precompute.commands.demo'}\nimport_module(TABLE[name])"),
+        ("runtime/cli/command.py", "TABLE = {'demo': 'precompute.commands.demo'}\nimport_module(TABLE[name])"),
         ("runtime/a.py", '"""What precompute.learning.pipeline makes."""\nB = "wrinkles.database"'),
         ("wrinkles/a.py", "def fit():\n    import sklearn"),
         ("precompute/a.py", "import pbd, assets, wrinkles, runtime, sklearn"),
@@ -113,8 +113,15 @@ STAIRS = (
     "assets.loading",
     "wrinkles",
     "runtime",
+    "runtime.output",  # words, tables and files of figures
+    "runtime.play",
+    "runtime.setup",
+    "runtime.detail",
+    "runtime.draw",
+    "runtime.export",
     "runtime.viewer",
-    "runtime.commands",
+    "runtime.cli",
+    "runtime.cli.commands",
     "precompute",  # processes and computers that work together
     "precompute.reporting",
     "precompute.experiment",

@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from runtime.terminal import say
+from runtime.output.terminal import say
 from tests.data import ROOT
 
 PYTHONS = ("python3.10", "python3.11", "python3.12", "python3.13")

@@ -39,14 +39,14 @@ def test_it_carries_the_licence_the_command_and_the_list_of_dependencies(wheel: 
     about = [name for name in archive.namelist() if ".dist-info/" in name]
     texts = {name.partition(".dist-info/")[2]: archive.read(name).decode() for name in about}
     assert texts["licenses/LICENSE"].startswith("MIT License")
-    assert "gube = runtime.command:main" in texts["entry_points.txt"]
+    assert "gube = runtime.cli.command:main" in texts["entry_points.txt"]
     assert texts["sboms/dependencies.cdx.json"] == (ROOT / "dependencies.cdx.json").read_text(encoding="utf-8")
 
 
 def test_command_and_public_names_come_from_the_wheel_alone(wheel: Path, tmp_path: Path) -> None:
     zipfile.ZipFile(wheel).extractall(tmp_path)
     script = (
-        "import sys; sys.path.insert(0, '.'); import gube; from runtime import command\n"
+        "import sys; sys.path.insert(0, '.'); import gube; from runtime.cli import command\n"
         "for name in gube.__all__: getattr(gube, name)\n"
         "try: command.main(['--help'])\n"
         "finally: print(command.__file__, gube.__file__, gube.load_garment('builtin:skirt').source)"

@@ -34,7 +34,7 @@ from assets.io.settings import (
     vector,
     whole,
 )
-from assets.io.view import ViewSettings
+from assets.io.view_settings import ViewSettings
 from assets.text import read_text
 from pbd import Fabric, InputError, SolverOptions
 from pbd.wind import Wind
@@ -107,9 +107,9 @@ class GarmentSettings:
             subdivided coarse mesh. None where the mesh itself is the coarse one.
         coarse_subdivisions: how often the mesh is subdivided for the coarse one, which is simulated.
         subdivisions: how often the coarse mesh is subdivided for the fine one; None where the folds of the fabric
-            decide, see :func:`runtime.garment_mesh.with_subdivisions`.
+            decide, see :func:`runtime.setup.garment_mesh.with_subdivisions`.
         attach: boundary vertices that the body carries: "bands" (rims of taut bands that do not give way, where they
-            lie on the body, see :func:`runtime.garment_mesh.carried_bands`), "top" (the highest loop), "none", or
+            lie on the body, see :func:`runtime.setup.garment_mesh.carried_bands`), "top" (the highest loop), "none", or
             numbers of loops.
         attach_vertices: more vertices that the body carries.
         fasten: boundary vertices that are fastened to the garments below: "top", "none", or numbers of loops.

@@ -5,10 +5,10 @@ from __future__ import annotations
 from os import PathLike
 from pathlib import Path
 
-from assets.patterns.check import check_pattern
 from assets.patterns.dxf import read_dxf
 from assets.patterns.garmentcode import read_garmentcode
 from assets.patterns.pattern import Pattern
+from assets.patterns.pattern_checks import check_pattern
 from assets.patterns.sheet import with_side_file
 from assets.patterns.short_edges import join_edges, joinable_edges
 from assets.patterns.svg import read_svg

@@ -75,7 +75,7 @@ def cut(pattern: Pattern, edge_length: float) -> CutPattern:
     mean of both lengths. Points lie on the curves of the pattern at every edge length, and corners are kept.
 
     Args:
-        pattern: as :func:`assets.patterns.check.check_pattern` accepts it.
+        pattern: as :func:`assets.patterns.pattern_checks.check_pattern` accepts it.
         edge_length: wanted length of the triangles' sides [m].
 
     Raises:

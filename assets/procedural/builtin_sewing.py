@@ -14,9 +14,9 @@ from assets.anthropometry import measure
 from assets.patterns.drafts import draft
 from assets.procedural.mannequin import DATA, builtin_mannequin
 from assets.sewing.body import closed_body
-from assets.sewing.garment import SewnGarment
 from assets.sewing.sewing import sew
 from assets.sewing.sewn_file import write_sewn
+from assets.sewing.sewn_garment import SewnGarment
 
 __all__ = ["CUTS", "BuiltinCut", "sewn_builtin", "write_garments"]
 

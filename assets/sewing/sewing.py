@@ -21,9 +21,9 @@ from assets.patterns.pattern import Pattern
 from assets.sewing import DEFAULT_EDGE
 from assets.sewing.arrangement import arranged
 from assets.sewing.body import StandingBody
-from assets.sewing.garment import SewnGarment, body_crossings, drape_figures, faults_of, faulty_panels
 from assets.sewing.pieces import Joined, Pieces, carried_over, join, pieces_of
-from assets.sewing.simulation import HELD, Clock, band_limits, close_stitches, drape, substep_of
+from assets.sewing.sewing_simulation import HELD, Clock, band_limits, close_stitches, drape, substep_of
+from assets.sewing.sewn_garment import SewnGarment, body_crossings, drape_figures, faults_of, faulty_panels
 from pbd.attachment import push_outside, smooth_normals
 from pbd.bending import hinge_calibration
 from pbd.errors import InputError

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from assets.garment import Garment, check_faces
-from assets.sewing.garment import SewnGarment
+from assets.sewing.sewn_garment import SewnGarment
 from assets.weld import check_unit
 from pbd.errors import InputError
 from pbd.storage import BROKEN_NPZ, replacing

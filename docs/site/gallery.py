@@ -16,8 +16,8 @@ import numpy as np
 from PIL import Image
 
 import gube
-from runtime.picture_content import Drawn, frame_camera
-from runtime.pictures import render
+from runtime.draw.picture_content import Drawn, frame_camera
+from runtime.draw.pictures import render
 
 OUT = Path(__file__).resolve().parent.parent.parent / "out" / "gallery"
 SIZE = (360, 400)  # [pixel]

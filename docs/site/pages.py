@@ -16,10 +16,10 @@ import gube
 from assets.io import body_settings, collider_settings
 from assets.io import scene as scene_module
 from assets.io.scene import Scene
-from assets.io.view import ViewSettings
+from assets.io.view_settings import ViewSettings
 from pbd import Fabric, SolverOptions
 from precompute.failures.stress import QUOTED
-from runtime.command import COMMANDS, parser
+from runtime.cli.command import COMMANDS, parser
 from wrinkles.schema import ENTRIES, FORMAT, SCHEMA_VERSION
 
 __all__ = ["FILMS", "GENERATED", "ROOT"]

@@ -23,11 +23,11 @@ from precompute.experiment.error_classes import LIMITS, longest_run
 from precompute.experiment.measures import FRAME_RATE, GRAVITY
 from precompute.reporting.tables import write_table
 from precompute.workers import Workers, run_jobs
-from runtime.picture_content import Drawn, frame_camera
-from runtime.pictures import render, save_png, strip
-from runtime.scene_body import load_body, motion_of
-from runtime.scene_simulation import simulation_of
-from runtime.simulation import Simulation, body_source
+from runtime.draw.picture_content import Drawn, frame_camera
+from runtime.draw.pictures import render, save_png, strip
+from runtime.play.simulation import Simulation, body_source
+from runtime.setup.scene_body import load_body, motion_of
+from runtime.setup.scene_simulation import simulation_of
 
 __all__ = ["CLIPS", "MAX_OVER_LIMBS", "clip_rows", "overlapping", "run_clip", "shrinking", "write_clips"]
 
@@ -170,7 +170,7 @@ def run_clip(
         simulation: at its start.
         motion: of the body.
         seconds: only the start of it.
-        picture: called with an image of a few frames, as for :func:`runtime.pictures.save_png`.
+        picture: called with an image of a few frames, as for :func:`runtime.draw.pictures.save_png`.
 
     Returns:
         figures by name, see :func:`_clip_figures`; where a run ends early because it is not finite, ``frames``,

@@ -27,9 +27,9 @@ from precompute.benchmarks.stopwatch import PARTS, Stopwatch, stopwatch
 from precompute.learning.run_recording import Run
 from precompute.learning.truth import database_run
 from precompute.wrinkle_comparison.baselines import Cloth, coarse_cloth, fine_cloth, middle_cloth
-from runtime.playback_inputs import PlaybackInputs, open_database
-from runtime.player import Player
-from runtime.simulation import Simulation, body_source
+from runtime.play.player import Player
+from runtime.play.simulation import Simulation, body_source
+from runtime.setup.playback_inputs import PlaybackInputs, open_database
 from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import levels_of
 
@@ -140,7 +140,7 @@ def bench_frame(path: Path, seconds: float, report: Callable[[str], None] = lamb
         report: called with a line of progress.
 
     Raises:
-        InputError: as :func:`runtime.playback_inputs.open_database`, or fewer frames than get going.
+        InputError: as :func:`runtime.setup.playback_inputs.open_database`, or fewer frames than get going.
     """
     database, inputs = open_database(path)
     motion = inputs.motions[0]

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from pbd.taichi_internals import Launch
-from runtime.playback_inputs import open_database
-from runtime.player import Player
-from runtime.simulation import poses_of
+from runtime.play.player import Player
+from runtime.play.simulation import poses_of
+from runtime.setup.playback_inputs import open_database
 
 SKIPPED = 10  # frames that get going
 

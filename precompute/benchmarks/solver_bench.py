@@ -15,7 +15,7 @@ from precompute.experiment.measures import FRAME_RATE
 from precompute.experiment.swinging_square import SquareRun, hanging_square, measure
 from precompute.reporting.html_page import Chart, Point, Section, Table, Text, write_page
 from precompute.reporting.tables import write_table
-from runtime.report import machine_description
+from runtime.output.report import machine_description
 
 __all__ = ["SolverBench", "bench_rows", "bench_solver", "bench_verdict", "write_bench"]
 

@@ -11,8 +11,8 @@ from typing import Any
 from unittest.mock import patch
 
 from pbd.taichi_internals import Launch
-from runtime.fine_garment import FineGarment
-from runtime.simulation import Simulation
+from runtime.play.fine_garment import FineGarment
+from runtime.play.simulation import Simulation
 from wrinkles.relaxation import Relaxation
 
 __all__ = ["PARTS", "Stopwatch", "stopwatch"]

@@ -7,10 +7,10 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
-from runtime.arguments import add_output_file, add_scheduler
+from runtime.cli.arguments import add_output_file, add_scheduler
 
 if TYPE_CHECKING:
-    from runtime.report import Report
+    from runtime.output.report import Report
 
 __all__ = ["SUMMARY", "add_arguments", "run"]
 
@@ -28,9 +28,9 @@ def run(options: argparse.Namespace) -> Report:
     """Simulate the clips, write the table and print it."""
     from precompute.benchmarks.clips import MAX_OVER_LIMBS, clip_rows, write_clips
     from precompute.cluster import workers_of
-    from runtime.outputs import check_file
-    from runtime.report import Progress, Report
-    from runtime.terminal import say
+    from runtime.output.outputs import check_file
+    from runtime.output.report import Progress, Report
+    from runtime.output.terminal import say
 
     check_file(options.output, ".csv")
     count = 1 if options.scheduler is None else os.cpu_count() or 1

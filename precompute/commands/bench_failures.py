@@ -7,10 +7,10 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
-from runtime.arguments import add_output_file, add_scheduler
+from runtime.cli.arguments import add_output_file, add_scheduler
 
 if TYPE_CHECKING:
-    from runtime.report import Report
+    from runtime.output.report import Report
 
 __all__ = ["SUMMARY", "add_arguments", "run"]
 
@@ -30,9 +30,9 @@ def run(options: argparse.Namespace) -> Report:
     """Run the scenes and print the class of error in which each method ends."""
     from precompute.cluster import workers_of
     from precompute.failures.failures import CLASSIC, all_failure_rows, failure_table, write_failures
-    from runtime.outputs import check_file
-    from runtime.report import Progress, Report
-    from runtime.terminal import say
+    from runtime.output.outputs import check_file
+    from runtime.output.report import Progress, Report
+    from runtime.output.terminal import say
 
     check_file(options.output, ".csv")
     solvers = (options.solver,) if options.solver else ("default", *CLASSIC)

@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from runtime.arguments import add_database, positive
+from runtime.cli.arguments import add_database, positive
 
 if TYPE_CHECKING:
-    from runtime.report import Report
+    from runtime.output.report import Report
 
 __all__ = ["SUMMARY", "add_arguments", "run"]
 
@@ -42,8 +42,8 @@ def run(options: argparse.Namespace) -> Report:
     from pbd import InputError
     from precompute.benchmarks.frame import bench_frame, frame_text
     from precompute.benchmarks.frame_turns import compare_frames
-    from runtime.report import Progress, Report
-    from runtime.terminal import say
+    from runtime.output.report import Progress, Report
+    from runtime.output.terminal import say
 
     if options.against_database is not None and options.against is None:
         received = str(options.against_database)

@@ -6,10 +6,10 @@ import argparse
 import sys
 from typing import TYPE_CHECKING
 
-from runtime.arguments import positive
+from runtime.cli.arguments import positive
 
 if TYPE_CHECKING:
-    from runtime.report import Report
+    from runtime.output.report import Report
 
 __all__ = ["SUMMARY", "add_arguments", "run"]
 
@@ -30,8 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Report:
     """Run the square and print the verdicts beside those of other engines; any but "ok" fails the command."""
     from precompute.failures.stress import stress_figures, stress_rows, stress_text
-    from runtime.report import Progress, Report
-    from runtime.terminal import say
+    from runtime.output.report import Progress, Report
+    from runtime.output.terminal import say
 
     with Progress(sys.stderr) as progress:
         rows = stress_rows(options.solver, names=options.names, seconds=options.seconds, report=progress)

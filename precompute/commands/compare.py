@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from runtime.arguments import add_scheduler, duration, positive
+from runtime.cli.arguments import add_scheduler, duration, positive
 
 if TYPE_CHECKING:
-    from runtime.report import Report
+    from runtime.output.report import Report
 
 __all__ = ["SUMMARY", "add_arguments", "run"]
 
@@ -81,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Report:
     """Find out which kind of comparison is asked for and run it."""
     from pbd.errors import InputError
-    from runtime.outputs import check_folder
+    from runtime.output.outputs import check_folder
 
     databases = [name for name in options.sources if name.lower().endswith((".h5", ".toml"))]
     scenes = [name for name in options.sources if name not in databases]
@@ -119,8 +119,8 @@ def _compare_scenes(options: argparse.Namespace, scenes: Sequence[str]) -> Repor
         write_comparison,
     )
     from precompute.wrinkle_comparison.compare_database import check_motions, compare_file
-    from runtime.report import Progress, Report
-    from runtime.terminal import say
+    from runtime.output.report import Progress, Report
+    from runtime.output.terminal import say
 
     methods, output = [] if options.methods is None else options.methods.split(","), options.output
     with Progress(sys.stderr) as progress:
@@ -145,8 +145,8 @@ def _compare_wrinkles(options: argparse.Namespace) -> Report:
     from pbd.errors import InputError
     from precompute.wrinkle_comparison.wrinkle_comparison import compare_wrinkles_file
     from precompute.wrinkle_comparison.wrinkle_page import wrinkle_rows, wrinkle_verdict, write_wrinkles
-    from runtime.report import Progress, Report, numbers_of
-    from runtime.terminal import say
+    from runtime.output.report import Progress, Report, numbers_of
+    from runtime.output.terminal import say
 
     for name in ("clip", "seconds"):
         if getattr(options, name) is not None:
@@ -165,8 +165,8 @@ def _compare_wrinkles(options: argparse.Namespace) -> Report:
 
 def _blind_answers(options: argparse.Namespace) -> Report:
     from precompute.wrinkle_comparison.blind import blind_figures
-    from runtime.report import Report
-    from runtime.terminal import say
+    from runtime.output.report import Report
+    from runtime.output.terminal import say
 
     figures = blind_figures(options.output, options.answers)
     say(
@@ -181,8 +181,8 @@ def _compare_database(options: argparse.Namespace) -> Report:
     from precompute.wrinkle_comparison.blind import write_blind
     from precompute.wrinkle_comparison.compare_database import compare_file
     from precompute.wrinkle_comparison.comparison_page import verdict, write_comparison
-    from runtime.report import Progress, Report
-    from runtime.terminal import say
+    from runtime.output.report import Progress, Report
+    from runtime.output.terminal import say
 
     clip, seconds = options.clip, options.seconds
     with Progress(sys.stderr) as progress, workers_of(options.scheduler, 2) as workers:

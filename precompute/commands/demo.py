@@ -6,10 +6,10 @@ import argparse
 import sys
 from typing import TYPE_CHECKING
 
-from runtime.arguments import add_output_folder
+from runtime.cli.arguments import add_output_folder
 
 if TYPE_CHECKING:
-    from runtime.report import Report
+    from runtime.output.report import Report
 
 __all__ = ["SUMMARY", "add_arguments", "run"]
 
@@ -29,9 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Report:
     """Learn, play, compare and draw; say what will be done, and print where the results are."""
     from precompute.demo_run import FULL, SHORT, introduction, run_demo
-    from runtime.outputs import check_folder
-    from runtime.report import Progress, Report
-    from runtime.terminal import say
+    from runtime.output.outputs import check_folder
+    from runtime.output.report import Progress, Report
+    from runtime.output.terminal import say
 
     check_folder(options.output)
     demo = FULL if options.full else SHORT

@@ -1,6 +1,6 @@
 """`gube export --truth`: a page that shows the fine simulation too.
 
-The arguments are those of :mod:`runtime.commands.export`.
+The arguments are those of :mod:`runtime.cli.commands.export`.
 """
 
 from __future__ import annotations
@@ -8,10 +8,10 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from runtime.commands.export import export_page
+from runtime.cli.commands.export import export_page
 
 if TYPE_CHECKING:
-    from runtime.report import Report
+    from runtime.output.report import Report
 
 __all__ = ["run"]
 
@@ -24,8 +24,8 @@ def run(options: argparse.Namespace) -> Report:
     from precompute.learning.pipeline import default_cache
     from precompute.learning.run_recording import record_runs
     from precompute.learning.truth import database_run
-    from runtime.playback_inputs import PlaybackInputs
-    from runtime.recording import TRUTH_HZ, RecordedTruth
+    from runtime.export.recording import TRUTH_HZ, RecordedTruth
+    from runtime.setup.playback_inputs import PlaybackInputs
     from wrinkles.database import WrinkleDatabase
 
     def truth_of(

@@ -7,12 +7,12 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from runtime.arguments import add_output_folder
+from runtime.cli.arguments import add_output_folder
 
 if TYPE_CHECKING:
     from pbd import Fabric
     from precompute.validation.trial import TrialSetting
-    from runtime.report import Report
+    from runtime.output.report import Report
 
 __all__ = ["SUMMARY", "add_arguments", "run"]
 
@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> Report:
     """Measure the fabric or fit it; print the figures and draw the curves."""
     from assets.fabrics import load_fabric
     from precompute.validation.trial import TrialSetting
-    from runtime.outputs import check_folder
+    from runtime.output.outputs import check_folder
 
     check_folder(options.output)
     fabric, setting = load_fabric(options.fabric), TrialSetting(solver=options.solver)
@@ -58,8 +58,8 @@ def _fit(fabric: Fabric, setting: TrialSetting, curves: Path, output: Path) -> R
 
     from precompute.fabric_lab.fabric_fit import draw_fit, fit_fabric, read_curves
     from precompute.fabric_lab.fabric_report import fabric_text
-    from runtime.report import Report
-    from runtime.terminal import say
+    from runtime.output.report import Report
+    from runtime.output.terminal import say
 
     fitted, found = fit_fabric(read_curves(curves), fabric, setting)
     draw_fit(output / "fit.png", found)
@@ -73,8 +73,8 @@ def _fit(fabric: Fabric, setting: TrialSetting, curves: Path, output: Path) -> R
 
 def _measure(fabric: Fabric, setting: TrialSetting, output: Path) -> Report:
     from precompute.fabric_lab.fabric_report import curve_rows, curves_text, draw_curves, measure_fabric, write_curves
-    from runtime.report import Progress, Report
-    from runtime.terminal import say
+    from runtime.output.report import Progress, Report
+    from runtime.output.terminal import say
 
     with Progress(sys.stderr) as progress:
         curves, figures = measure_fabric(fabric, setting, progress)

@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from runtime.arguments import add_output_folder, positive
+from runtime.cli.arguments import add_output_folder, positive
 
 if TYPE_CHECKING:
-    from runtime.report import Report
+    from runtime.output.report import Report
 
 __all__ = ["SUMMARY", "add_arguments", "run"]
 
@@ -39,9 +39,9 @@ def run(options: argparse.Namespace) -> Report:
     from precompute.fuzzing.fuzzing import fuzz
     from precompute.fuzzing.readers import write_good_files
     from precompute.scratch import scratch_folder
-    from runtime.outputs import check_folder
-    from runtime.report import Progress, Report
-    from runtime.terminal import say
+    from runtime.output.outputs import check_folder
+    from runtime.output.report import Progress, Report
+    from runtime.output.terminal import say
 
     check_folder(options.output)
     with scratch_folder() as folder, Progress(sys.stderr) as progress:

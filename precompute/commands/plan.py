@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from runtime.arguments import add_output_folder, angle, positive
+from runtime.cli.arguments import add_output_folder, angle, positive
 
 if TYPE_CHECKING:
-    from runtime.report import Report
+    from runtime.output.report import Report
 
 __all__ = ["SUMMARY", "add_arguments", "run"]
 
@@ -54,10 +54,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Report:
     """Plan for the camera of a scene and print the choice with its reason."""
     from precompute.planning.planning import plan_file, plan_rows, plan_text
-    from runtime.outputs import check_folder
-    from runtime.planner import TARGETS
-    from runtime.report import Progress, Report
-    from runtime.terminal import say
+    from runtime.detail.planner import TARGETS
+    from runtime.output.outputs import check_folder
+    from runtime.output.report import Progress, Report
+    from runtime.output.terminal import say
 
     check_folder(options.output)
     with Progress(sys.stderr) as progress:

@@ -1,6 +1,6 @@
 """`gube play --truth`: a wrinkle database played beside the fine simulation.
 
-The arguments are those of :mod:`runtime.commands.play`.
+The arguments are those of :mod:`runtime.cli.commands.play`.
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ import os
 import sys
 from typing import TYPE_CHECKING, Any
 
-from runtime.commands.play import play_motions
+from runtime.cli.commands.play import play_motions
 
 if TYPE_CHECKING:
     from assets.motion import Motion
-    from runtime.playback_inputs import PlaybackInputs
-    from runtime.report import Report
+    from runtime.output.report import Report
+    from runtime.setup.playback_inputs import PlaybackInputs
     from wrinkles.database import WrinkleDatabase
 
 __all__ = ["run"]
@@ -38,10 +38,10 @@ def _beside_truth(
     from precompute.learning.pipeline import default_cache
     from precompute.learning.truth import database_run, truth_of
     from precompute.wrinkle_comparison.baselines import player_times, typical_ms
-    from runtime.play import posed_bodies
-    from runtime.report import Progress
-    from runtime.shown_body import shown_body
-    from runtime.strips import draw_strips
+    from runtime.draw.shown_body import shown_body
+    from runtime.draw.strips import draw_strips
+    from runtime.export.free_run import posed_bodies
+    from runtime.output.report import Progress
 
     run = database_run(database, inputs, motion)
     with Progress(sys.stderr) as progress:

@@ -8,10 +8,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from runtime.arguments import add_output_file, add_scheduler
+from runtime.cli.arguments import add_output_file, add_scheduler
 
 if TYPE_CHECKING:
-    from runtime.report import Report
+    from runtime.output.report import Report
 
 __all__ = ["SUMMARY", "add_arguments", "run"]
 
@@ -47,8 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Report:
     """Simulate, learn, and print what the new database holds."""
     from pbd.errors import InputError
-    from runtime.outputs import check_file, check_folder
-    from runtime.report import Progress, Report
+    from runtime.output.outputs import check_file, check_folder
+    from runtime.output.report import Progress, Report
 
     if options.workers < 1:
         raise InputError("too few processes", key="--workers", received=options.workers, expected="at least 1")
@@ -65,8 +65,8 @@ def run(options: argparse.Namespace) -> Report:
         from precompute.cluster import workers_of
         from precompute.learning.pipeline import default_cache, precompute
         from precompute.learning.stages import stage_figures, stage_table
-        from runtime.info import info_text
-        from runtime.terminal import say
+        from runtime.output.database_info import info_text
+        from runtime.output.terminal import say
 
         scene = load_scene(options.scene)
         progress("setting up the garment and its body")
@@ -86,9 +86,9 @@ def _run_all(options: argparse.Namespace) -> Report:
     from precompute.cluster import workers_of
     from precompute.learning.pipeline import default_cache
     from precompute.wardrobe_learning import learn_wardrobe, wardrobe_rows, wardrobe_text, write_wardrobe
-    from runtime.outputs import check_folder
-    from runtime.report import Progress, Report
-    from runtime.terminal import say
+    from runtime.output.outputs import check_folder
+    from runtime.output.report import Progress, Report
+    from runtime.output.terminal import say
 
     check_folder(options.output)
     scenes = load_wardrobe(options.all)

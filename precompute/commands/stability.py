@@ -7,10 +7,10 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
-from runtime.arguments import add_output_folder, add_scheduler
+from runtime.cli.arguments import add_output_folder, add_scheduler
 
 if TYPE_CHECKING:
-    from runtime.report import Report
+    from runtime.output.report import Report
 
 __all__ = ["SUMMARY", "add_arguments", "run"]
 
@@ -41,9 +41,9 @@ def run(options: argparse.Namespace) -> Report:
     from precompute.stability.stability_maps import chosen_cell
     from precompute.stability.stability_page import cell_row, cell_text, stability_text, write_stability
     from precompute.stability.stability_sweep import METHODS, check_methods, sweep
-    from runtime.outputs import check_folder
-    from runtime.report import Progress, Report
-    from runtime.terminal import say
+    from runtime.output.outputs import check_folder
+    from runtime.output.report import Progress, Report
+    from runtime.output.terminal import say
 
     if options.cell is not None:
         cell = chosen_cell(options.cell)

@@ -7,10 +7,10 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
-from runtime.arguments import add_output_folder, edge_count
+from runtime.cli.arguments import add_output_folder, edge_count
 
 if TYPE_CHECKING:
-    from runtime.report import Report
+    from runtime.output.report import Report
 
 __all__ = ["SUMMARY", "add_arguments", "run"]
 
@@ -41,9 +41,9 @@ def run(options: argparse.Namespace) -> Report:
     """Run the tests, print the table and draw the curves."""
     from precompute.validation.validation import chosen_rows, result_row, validate_all, validation_text
     from precompute.validation.validation_pictures import draw_results
-    from runtime.outputs import check_folder
-    from runtime.report import Progress, Report
-    from runtime.terminal import say
+    from runtime.output.outputs import check_folder
+    from runtime.output.report import Progress, Report
+    from runtime.output.terminal import say
 
     check_folder(options.output)
     tests = chosen_rows(options.names, options.param, options.solver)

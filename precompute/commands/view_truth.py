@@ -1,6 +1,6 @@
 """`gube view --truth`: a database in the browser beside the fine simulation.
 
-The arguments are those of :mod:`runtime.commands.view`.
+The arguments are those of :mod:`runtime.cli.commands.view`.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from runtime.commands.view import view
+from runtime.cli.commands.view import view
 
 if TYPE_CHECKING:
-    from runtime.playback_inputs import PlaybackInputs
-    from runtime.report import Report
+    from runtime.output.report import Report
+    from runtime.setup.playback_inputs import PlaybackInputs
     from runtime.viewer.garments import ShownTruth
     from wrinkles.database import WrinkleDatabase
 
@@ -32,7 +32,7 @@ def _recorded_truths(path: Path, database: WrinkleDatabase, inputs: PlaybackInpu
     from precompute.learning.pipeline import default_cache
     from precompute.learning.run_recording import record_runs
     from precompute.learning.truth import database_run
-    from runtime.report import Progress
+    from runtime.output.report import Progress
     from runtime.viewer.garments import ShownTruth
 
     runs = [database_run(database, inputs, motion) for motion in inputs.motions]

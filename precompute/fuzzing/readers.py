@@ -17,17 +17,17 @@ from assets.io.bvh import read_bvh
 from assets.io.retarget import load_joint_table
 from assets.io.scene import load_scene
 from assets.io.sequence import load_sequence
-from assets.limits import load_limits
 from assets.loading import load_animation, load_character, load_garment
+from assets.painted_limits import load_limits
 from assets.patterns.load import load_pattern
 from assets.procedural.mannequin import DATA, builtin_mannequin
 from assets.seams import load_seams
 from pbd import State, build_model
 from pbd.mesh import ClothMesh, lattice_faces
 from precompute.fabric_lab.fabric_fit import read_curves
-from runtime.bake import bake_glb, bake_mdd, bake_pc2, bake_usd
-from runtime.cost_table import read_cost_table
-from runtime.recording_file import links_of, quantised, read_recording, recording_bytes
+from runtime.detail.cost_table import read_cost_table
+from runtime.export.animation_files import bake_glb, bake_mdd, bake_pc2, bake_usd
+from runtime.export.recording_file import links_of, quantised, read_recording, recording_bytes
 from wrinkles.database_file import read_database
 
 __all__ = ["READERS", "write_good_files"]

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from precompute.learning.nearest_faces import nearest_faces
-from runtime.picture_content import frame_camera
-from runtime.strips import PICTURE
+from runtime.draw.picture_content import frame_camera
+from runtime.draw.strips import PICTURE
 
 __all__ = ["body_seen_figures", "shows_through"]
 

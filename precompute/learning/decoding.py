@@ -17,7 +17,7 @@ from precompute.learning.run_recording import Recording, Run
 from precompute.learning.stages import counted
 from precompute.learning.training import Layer, features_of, spread_frames
 from precompute.workers import Workers
-from runtime.simulation import BodySource, body_source
+from runtime.play.simulation import BodySource, body_source
 from wrinkles.decoder import Upsampler
 from wrinkles.dictionary import Atoms
 from wrinkles.features import DYNAMIC_COUNT

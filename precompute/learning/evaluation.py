@@ -24,10 +24,10 @@ from precompute.learning.stages import counted
 from precompute.learning.training import build_layer, features_of
 from precompute.learning.truth import Truth, judged_from
 from precompute.workers import Workers
-from runtime.play import Free, play, posed_bodies, timing_figures
-from runtime.player import Player
-from runtime.shown_body import depth_under_cloth, shown_body
-from runtime.simulation import body_source
+from runtime.draw.shown_body import depth_under_cloth, shown_body
+from runtime.export.free_run import Free, play, posed_bodies, timing_figures
+from runtime.play.player import Player
+from runtime.play.simulation import body_source
 from wrinkles.charts import leading_vertices
 from wrinkles.clearance import facing
 from wrinkles.database import WrinkleDatabase

@@ -16,8 +16,8 @@ from precompute.learning.pipeline import scene_run
 from precompute.learning.run_recording import Recording, Run
 from precompute.learning.training import Layer
 from precompute.learning.truth import Truth, settled, truth_of
-from runtime.garment_setup import GarmentSetup
-from runtime.player import Player
+from runtime.play.player import Player
+from runtime.setup.garment_setup import GarmentSetup
 from wrinkles.charts import leading_vertices
 from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase

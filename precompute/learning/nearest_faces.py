@@ -3,7 +3,7 @@
 import numpy as np
 
 from pbd.engine import ensure_initialized, ti
-from runtime.picture_content import Camera
+from runtime.draw.picture_content import Camera
 
 __all__ = ["nearest_faces"]
 

@@ -27,10 +27,10 @@ from precompute.learning.stages import StageClock, StageTime, counted
 from precompute.learning.training import Layer, TrainingSet, build_layer, fit_layer, spread_frames, training_set
 from precompute.learning.truth import SETTLE, Truth, fine_run, settled, truth_of, truth_runs
 from precompute.workers import Workers
-from runtime.garment_mesh import texture_of
-from runtime.garment_setup import GarmentSetup, colliders_of, fabrics_of, fine_options
-from runtime.report import processor_name
-from runtime.simulation import body_source
+from runtime.output.report import processor_name
+from runtime.play.simulation import body_source
+from runtime.setup.garment_mesh import texture_of
+from runtime.setup.garment_setup import GarmentSetup, colliders_of, fabrics_of, fine_options
 from wrinkles.charts import leading_vertices
 from wrinkles.database import WrinkleDatabase, body_hash, code_version
 from wrinkles.database_file import as_stored, write_database

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 import assets.skinning
 import pbd
-import runtime.simulation
+import runtime.play.simulation
 import wrinkles.levels
 import wrinkles.surface
 from assets.character import Character
@@ -27,7 +27,7 @@ from pbd.wind import CALM, Air, Wind
 from precompute.cluster import ClusterWorkers, cache_here
 from precompute.learning.crossed import COME_APART, crossed_share
 from precompute.workers import Workers
-from runtime.simulation import Simulation, body_source
+from runtime.play.simulation import Simulation, body_source
 from wrinkles.levels import Levels
 
 __all__ = ["Recording", "Run", "move_start", "record_runs"]
@@ -165,7 +165,7 @@ def move_start(state: State, start: int) -> None:
 @lru_cache(maxsize=1)
 def _solver_version() -> str:
     """Hash of the source of the solver, of what moves bodies and of what filters the result."""
-    return source_fingerprint(pbd, assets.skinning, runtime.simulation, wrinkles.levels, wrinkles.surface)
+    return source_fingerprint(pbd, assets.skinning, runtime.play.simulation, wrinkles.levels, wrinkles.surface)
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,9 @@ from precompute.learning.in_time import Pause
 from precompute.learning.options import DEFAULT, LearningOptions
 from precompute.learning.run_recording import Recording, Run, record_runs
 from precompute.workers import Workers
-from runtime.garment_setup import fine_substep_of
-from runtime.playback_inputs import PlaybackInputs
-from runtime.simulation import body_source, poses_of
+from runtime.play.simulation import body_source, poses_of
+from runtime.setup.garment_setup import fine_substep_of
+from runtime.setup.playback_inputs import PlaybackInputs
 from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels
 from wrinkles.low_frequency import LowFrequency

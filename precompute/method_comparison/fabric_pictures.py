@@ -17,10 +17,10 @@ from pbd import Fabric, ModelOptions
 from precompute.demo_run import FULL
 from precompute.experiment.measures import FRAME_RATE
 from precompute.learning.run_recording import Run, record_runs
-from runtime.garment_setup import GarmentSetup, fine_options
-from runtime.picture_content import Drawn, frame_camera
-from runtime.pictures import render, strip
-from runtime.simulation import body_source, poses_of
+from runtime.draw.picture_content import Drawn, frame_camera
+from runtime.draw.pictures import render, strip
+from runtime.play.simulation import body_source, poses_of
+from runtime.setup.garment_setup import GarmentSetup, fine_options
 
 __all__ = ["FABRICS", "draw_fabrics", "fabric_runs"]
 

@@ -19,9 +19,9 @@ from precompute.reporting.html_page import Chart, Heading, Picture, Point, Secti
 from precompute.reporting.tables import write_table
 from precompute.wrinkle_comparison.comparison import Comparison
 from precompute.wrinkle_comparison.comparison_page import comparison_sections
-from runtime.picture_content import Drawn, frame_camera
-from runtime.pictures import render, save_png, strip
-from runtime.report import machine_description, write_report
+from runtime.draw.picture_content import Drawn, frame_camera
+from runtime.draw.pictures import render, save_png, strip
+from runtime.output.report import machine_description, write_report
 
 __all__ = ["comparison_figures", "comparison_text", "fabric_sections", "wrinkle_sections", "write_comparison"]
 

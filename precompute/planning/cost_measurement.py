@@ -17,11 +17,11 @@ from pbd.distance import BodyDistance
 from pbd.wind import Air
 from precompute.learning.truth import SETTLE
 from precompute.wrinkle_comparison.baselines import PROBE_FRAMES
-from runtime.cost_table import CostTable, Setting
-from runtime.level_of_detail import LevelOfDetail
-from runtime.playback_inputs import PlaybackInputs
-from runtime.player import Player
-from runtime.report import machine_description
+from runtime.detail.cost_table import CostTable, Setting
+from runtime.output.report import machine_description
+from runtime.play.level_of_detail import LevelOfDetail
+from runtime.play.player import Player
+from runtime.setup.playback_inputs import PlaybackInputs
 from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase
 from wrinkles.proxy_mesh import proxy_mesh_of

@@ -13,11 +13,11 @@ from assets.io.scene import CameraSettings
 from pbd import InputError
 from precompute.planning.cost_measurement import cost_table_key, measure_cost_table
 from precompute.wrinkle_comparison.compare_database import database_of
-from runtime.cost_table import CostTable, cost_table_path, read_cost_table, write_cost_table
-from runtime.garment_setup import scene_of
-from runtime.planner import DetailChoice, Planner, ViewSize, sight_of
-from runtime.playback_inputs import playback_inputs
-from runtime.report import machine_description
+from runtime.detail.cost_table import CostTable, cost_table_path, read_cost_table, write_cost_table
+from runtime.detail.planner import DetailChoice, Planner, ViewSize, sight_of
+from runtime.output.report import machine_description
+from runtime.setup.garment_setup import scene_of
+from runtime.setup.playback_inputs import playback_inputs
 from wrinkles.database import WrinkleDatabase
 from wrinkles.database_file import read_database
 

@@ -21,7 +21,7 @@ import numpy as np
 from pbd.errors import InputError
 from pbd.storage import replacing
 from precompute.reporting.cost_charts import Chart, Point, chart_svg, pareto_front
-from runtime.pictures import encode_image
+from runtime.draw.pictures import encode_image
 
 __all__ = [
     "Chart", "Heading", "Picture", "Point", "Section", "Table", "Text",

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pbd.storage import replacing
-from runtime.report import machine_description
+from runtime.output.report import machine_description
 
 __all__ = ["write_table"]
 

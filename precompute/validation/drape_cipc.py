@@ -208,8 +208,8 @@ def _sewn(
 def _side_by_side(
     drape: Floats, reference: Floats, faces: NDArray[np.int32], body: tuple[Floats, NDArray[np.int32]]
 ) -> NDArray[np.uint8]:
-    from runtime.picture_content import Drawn, frame_camera
-    from runtime.pictures import render, strip
+    from runtime.draw.picture_content import Drawn, frame_camera
+    from runtime.draw.pictures import render, strip
 
     columns = []
     for azimuth in (20.0, 110.0, 200.0):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from precompute.reporting.cost_charts import panels, write_png
 from precompute.validation.validation import ValidationResult, case_words
-from runtime.pictures import save_png
+from runtime.draw.pictures import save_png
 
 __all__ = ["draw_results"]
 

@@ -23,11 +23,11 @@ from pbd.geometry import surface_normals
 from pbd.taichi_internals import Launch
 from precompute.learning.run_recording import Run, move_start
 from precompute.learning.truth import Truth
-from runtime.level_of_detail import LevelOfDetail
-from runtime.plain_cloth import middle_levels, plain_model
-from runtime.plain_surface import PlainSurface
-from runtime.player import Player
-from runtime.simulation import BodySource, Simulation, body_source
+from runtime.play.level_of_detail import LevelOfDetail
+from runtime.play.plain_cloth import middle_levels, plain_model
+from runtime.play.plain_surface import PlainSurface
+from runtime.play.player import Player
+from runtime.play.simulation import BodySource, Simulation, body_source
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Upsampler
 from wrinkles.levels import Levels

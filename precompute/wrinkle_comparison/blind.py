@@ -11,10 +11,10 @@ from assets.text import read_text
 from pbd import InputError
 from pbd.storage import replacing
 from precompute.learning.truth import Truth
-from runtime.picture_content import Drawn, frame_camera
-from runtime.pictures import render, save_png, strip
-from runtime.shown_body import shown_body
-from runtime.simulation import body_source
+from runtime.draw.picture_content import Drawn, frame_camera
+from runtime.draw.pictures import render, save_png, strip
+from runtime.draw.shown_body import shown_body
+from runtime.play.simulation import body_source
 
 __all__ = ["blind_figures", "write_blind"]
 

@@ -33,12 +33,12 @@ from precompute.wrinkle_comparison.baselines import (
 )
 from precompute.wrinkle_comparison.comparison import Comparison, Method, MotionComparison
 from precompute.wrinkle_comparison.realism import FEWEST_FRAMES, PatchStatistics, realism
-from runtime.animation_baking import clip_begin
-from runtime.garment_setup import scene_of
-from runtime.level_of_detail import LevelOfDetail
-from runtime.playback_inputs import motions_of, playback_inputs
-from runtime.player import Player
-from runtime.scene_body import body_of
+from runtime.export.animation_baking import clip_begin
+from runtime.play.level_of_detail import LevelOfDetail
+from runtime.play.player import Player
+from runtime.setup.garment_setup import scene_of
+from runtime.setup.playback_inputs import motions_of, playback_inputs
+from runtime.setup.scene_body import body_of
 from wrinkles.database import WrinkleDatabase, code_version
 from wrinkles.database_file import read_database, write_database
 from wrinkles.mesh_measures import edge_stretch

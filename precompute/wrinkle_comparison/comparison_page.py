@@ -10,9 +10,9 @@ import numpy as np
 from precompute.learning.evaluation import CHANCE
 from precompute.reporting.html_page import Chart, Heading, Picture, Point, Section, Table, Text, write_page
 from precompute.wrinkle_comparison.comparison import ERRORS, Comparison, Method, MotionComparison
-from runtime.picture_content import Drawn, frame_camera
-from runtime.pictures import render, strip
-from runtime.simulation import body_source
+from runtime.draw.picture_content import Drawn, frame_camera
+from runtime.draw.pictures import render, strip
+from runtime.play.simulation import body_source
 
 __all__ = ["comparison_sections", "draw_methods", "plain_table", "verdict", "write_comparison"]
 

@@ -31,7 +31,7 @@ from precompute.wrinkle_comparison.baselines import player_times, typical_ms
 from precompute.wrinkle_comparison.compare_database import check_motions, database_of, described, plain_methods
 from precompute.wrinkle_comparison.wrinkle_baselines import WrinkleBaseline, fit_baselines
 from precompute.wrinkle_comparison.wrinkle_meshes import WrinkleMesh, WrinkleMeshOptions
-from runtime.garment_setup import GarmentSetup, scene_of
+from runtime.setup.garment_setup import GarmentSetup, scene_of
 from wrinkles.database import WrinkleDatabase
 from wrinkles.database_file import read_database
 from wrinkles.spectrum import BandedEnergy

@@ -16,7 +16,7 @@ import numpy as np
 
 from pbd import ClothMesh
 from pbd.mesh import edges_of
-from runtime.picture_content import GARMENT_COLORS
+from runtime.draw.picture_content import GARMENT_COLORS
 
 __all__ = [
     "BANDS",

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from runtime.player import PARTS
+from runtime.play.player import PARTS
 from runtime.viewer.colors import CLOTH, CLOTH_COLORS, SCALES, legend, names_legend
 from runtime.viewer.garments import FabricFactors, ViewedGarment
 from runtime.viewer.sources import Source

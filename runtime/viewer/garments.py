@@ -13,11 +13,11 @@ from assets.character import Character
 from assets.io.sequence import Sequence
 from assets.motion import Motion
 from pbd import ClothMesh, Fabric, Solver, build_model
-from runtime.fine_garment import FineGarment
-from runtime.level_of_detail import LevelOfDetail
-from runtime.plain_surface import SUBDIVISIONS, PlainGarment, SmoothGarment
-from runtime.player import Player
-from runtime.shown_body import insets
+from runtime.draw.shown_body import insets
+from runtime.play.fine_garment import FineGarment
+from runtime.play.level_of_detail import LevelOfDetail
+from runtime.play.plain_surface import SUBDIVISIONS, PlainGarment, SmoothGarment
+from runtime.play.player import Player
 from runtime.viewer.colors import CLOTH, FaceBending, FaceStrain, place
 from wrinkles.decoder import Upsampler
 from wrinkles.levels import garment_vertices
@@ -109,7 +109,7 @@ class ViewedGarment:
     Args:
         player: plays the garment, at the start of the motion.
         motion: of the body; None without one.
-        body: as it is drawn, see :mod:`runtime.shown_body`; None without one.
+        body: as it is drawn, see :mod:`runtime.draw.shown_body`; None without one.
         texture: texture coordinates of each face corner of the main mesh, shape (m, 3, 2); None without any.
         truth: a recorded fine simulation of the motion, if there is one.
 

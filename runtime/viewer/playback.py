@@ -15,9 +15,9 @@ import numpy as np
 from assets.motion import Motion
 from pbd import InputError
 from pbd.wind import CALM, Air, Wind
-from runtime.game_loop import GameLoop, LiveInput
-from runtime.moment import Moment
-from runtime.simulation import Simulation
+from runtime.play.game_loop import GameLoop, LiveInput
+from runtime.play.moment import Moment
+from runtime.play.simulation import Simulation
 
 __all__ = ["FILM_BYTES", "NO_BODY_SECONDS", "Playback", "Replayable"]
 
@@ -27,7 +27,7 @@ NO_BODY_SECONDS = 10.0  # of garments without a body, before they start again [s
 
 
 class Replayable(Protocol):
-    """What a viewer plays: a :class:`runtime.player.Player`."""
+    """What a viewer plays: a :class:`runtime.play.player.Player`."""
 
     @property
     def simulation(self) -> Simulation: ...

@@ -14,13 +14,13 @@ import numpy as np
 from assets.character import Character
 from assets.io.scene import CameraSettings, Scene, WindSettings, scene_text
 from assets.io.sequence import Sequence
-from assets.io.view import ViewSettings
+from assets.io.view_settings import ViewSettings
 from pbd.storage import replacing
 from pbd.wind import Wind
-from runtime.animation_baking import clip_begin
-from runtime.bake import bake_glb
-from runtime.pictures import save_png
-from runtime.studio import BACKGROUND
+from runtime.draw.pictures import save_png
+from runtime.draw.studio import BACKGROUND
+from runtime.export.animation_baking import clip_begin
+from runtime.export.animation_files import bake_glb
 from runtime.viewer.garments import ViewedGarment
 from runtime.viewer.playback import Playback
 
@@ -89,7 +89,7 @@ def bake_clip(
     garments: Mapping[str, np.ndarray] | None,
     texture: np.ndarray | None,
 ) -> Path:
-    """Write frames as an animation; arguments as for :func:`runtime.bake.bake_glb`."""
+    """Write frames as an animation; arguments as for :func:`runtime.export.animation_files.bake_glb`."""
     path = free_file(folder, "clip", ".glb")
     worn_by = {"body": None if poses is None else body, "poses": poses}
     bake_glb(path, faces, frames, rate_hz, **worn_by, garments=garments, texture=texture)

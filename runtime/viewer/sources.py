@@ -11,16 +11,16 @@ from assets.io.scene import Scene
 from assets.io.sequence import Sequence
 from assets.motion import Motion
 from pbd.wind import Wind
-from runtime.garment_mesh import texture_of
-from runtime.garment_setup import scene_of
-from runtime.info import better_choice
-from runtime.plain_cloth import plain_choice
-from runtime.plain_surface import SmoothGarment
-from runtime.playback_inputs import PlaybackInputs
-from runtime.player import Player, player_of
-from runtime.scene_body import body_of
-from runtime.scene_simulation import simulation_of
-from runtime.shown_body import shown_body
+from runtime.draw.shown_body import shown_body
+from runtime.output.database_info import better_choice
+from runtime.play.plain_cloth import plain_choice
+from runtime.play.plain_surface import SmoothGarment
+from runtime.play.player import Player, player_of
+from runtime.setup.garment_mesh import texture_of
+from runtime.setup.garment_setup import scene_of
+from runtime.setup.playback_inputs import PlaybackInputs
+from runtime.setup.scene_body import body_of
+from runtime.setup.scene_simulation import simulation_of
 from runtime.viewer.garments import ShownTruth, ViewedGarment
 from wrinkles.database import WrinkleDatabase
 from wrinkles.worn_garments import garment_names

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import viser
 
-from runtime.picture_content import BODY_COLOR, GARMENT_COLOR
-from runtime.studio import BACKGROUND
+from runtime.draw.picture_content import BODY_COLOR, GARMENT_COLOR
+from runtime.draw.studio import BACKGROUND
 from runtime.viewer.colors import BANDS, CLOTH, GARMENTS, SCALES, bands_of, rgb
 from runtime.viewer.garments import COARSE, OURS, PLAIN, SMOOTH, TRUTH, ViewedGarment
 from runtime.viewer.playback import Playback

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from assets.io.scene import CameraSettings
-from assets.io.view import ViewSettings
+from assets.io.view_settings import ViewSettings
 from assets.motion import Motion
 from pbd import InputError
 from runtime.viewer.colors import CLOTH
 from runtime.viewer.controls import GRAPH_FRAMES, GRAPHED, Controls
 from runtime.viewer.garments import FabricFactors, ViewedGarment
-from runtime.viewer.opening import Opened
+from runtime.viewer.opened_view import Opened
 from runtime.viewer.playback import Playback
 from runtime.viewer.saving import bake_clip, clip_frames, write_picture, write_view
 from runtime.viewer.server import HOST, Server, open_server

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from assets.limits import load_limits
+from assets.painted_limits import load_limits
 from pbd.limits import NONE
 from tests.refusals import refuses
 

@@ -23,8 +23,8 @@ from assets.io.obj import read_obj
 from assets.io.retarget import load_joint_table
 from assets.io.scene import load_scene, parse_scene
 from assets.io.sequence import load_sequence
-from assets.limits import load_limits
 from assets.loading import load_character, load_garment
+from assets.painted_limits import load_limits
 from assets.patterns.load import load_pattern
 from assets.seams import load_seams
 from assets.text import read_text, read_words
@@ -32,7 +32,7 @@ from pbd.errors import InputError
 from precompute.fabric_lab.fabric_fit import read_curves
 from precompute.fuzzing.readers import BVH, READERS, SCENE, SEAMS, SVG
 from precompute.wrinkle_comparison.blind import KEY, blind_figures
-from runtime.cost_table import read_cost_table, write_cost_table
+from runtime.detail.cost_table import read_cost_table, write_cost_table
 from tests.assets.files import bar_glb
 from tests.data import ROOT
 from tests.refusals import refuses
@@ -263,7 +263,7 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 OF_THEIR_OWN = {  # read what this program or the system wrote
     "precompute/benchmarks/frame_turns.py", "precompute/fuzzing/fuzzing.py",
-    "precompute/scratch.py", "precompute/wrinkle_comparison/blind.py", "runtime/report.py",
+    "precompute/scratch.py", "precompute/wrinkle_comparison/blind.py", "runtime/output/report.py",
 }  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from runtime.viewer.opening import Opened
+from runtime.viewer.opened_view import Opened
 from runtime.viewer.viewer import Viewer
 from tests.runtime.viewer.views import skirt_source
 

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page
 
-from runtime.animation_baking import clip_begin
-from runtime.page import page_text, write_page
-from runtime.playback_inputs import PlaybackInputs
-from runtime.player import Player
-from runtime.recording import TRUTH_STEP, RecordedTruth, record
-from runtime.simulation import poses_of
+from runtime.export.animation_baking import clip_begin
+from runtime.export.page import page_text, write_page
+from runtime.export.recording import TRUTH_STEP, RecordedTruth, record
+from runtime.play.player import Player
+from runtime.play.simulation import poses_of
+from runtime.setup.playback_inputs import PlaybackInputs
 from tests.runtime.players import skirt_database, skirt_stage
 
 pytestmark = pytest.mark.browser

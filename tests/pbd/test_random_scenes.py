@@ -25,7 +25,7 @@ from pbd import (
 )  # fmt: skip
 from pbd.contact.colliders import Body
 from pbd.xpbd.rigid_motion import MIN_TELEPORT_SPEED
-from runtime.terminal import say
+from runtime.output.terminal import say
 from tests.pbd.meshes import icosphere
 
 GRAVITY = 9.81

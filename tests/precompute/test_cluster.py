@@ -26,7 +26,7 @@ from precompute.cluster import ClusterWorkers, cache_here, local_cluster, worker
 from precompute.learning.pipeline import scene_run
 from precompute.learning.run_recording import Run, record_runs
 from precompute.workers import Workers, run_jobs
-from runtime.garment_setup import GarmentSetup
+from runtime.setup.garment_setup import GarmentSetup
 from tests.precompute.miniature import scene
 
 

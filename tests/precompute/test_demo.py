@@ -18,7 +18,7 @@ from precompute.demo_page import duration, words_of
 from precompute.demo_run import FULL, SHORT, STAGES, WORDS, Demo, DemoResult, introduction, run_demo
 from precompute.learning.pipeline import Precomputed, default_cache
 from precompute.wrinkle_comparison import baselines
-from runtime.glb import BYTES_A_VERTEX
+from runtime.export.glb import BYTES_A_VERTEX
 from tests.data import ROOT
 from tests.precompute.miniature import OPTIONS, SCENE
 from wrinkles.database_file import read_database

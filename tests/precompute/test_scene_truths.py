@@ -16,7 +16,7 @@ from precompute.learning.crossed import crossed_jobs, joined_crossed
 from precompute.learning.pipeline import scene_run
 from precompute.learning.run_recording import record_runs
 from precompute.workers import Workers
-from runtime.garment_setup import GarmentSetup
+from runtime.setup.garment_setup import GarmentSetup
 from tests.data import ROOT, data_path
 
 SCENES = sorted((ROOT / "docs" / "scenes").glob("*.toml"))

@@ -15,8 +15,8 @@ from types import SimpleNamespace
 import pytest
 
 from precompute.scratch import PREFIX, Tally, scratch_folder
-from runtime import command
-from runtime.report import Report
+from runtime.cli import command
+from runtime.output.report import Report
 from tests.data import ROOT
 
 HOLD = """

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from assets.io.scene import CameraSettings
-from runtime.cost_table import CostTable, Setting
-from runtime.level_of_detail import LevelOfDetail
-from runtime.planner import ViewSize, sight_of
+from runtime.detail.cost_table import CostTable, Setting
+from runtime.detail.planner import ViewSize, sight_of
+from runtime.play.level_of_detail import LevelOfDetail
 
 __all__ = ["made_front", "seen"]
 

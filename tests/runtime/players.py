@@ -11,8 +11,8 @@ import numpy as np
 from assets.io.scene import parse_scene, scene_text
 from assets.procedural.builtin import builtin_garment
 from pbd import SolverOptions
-from runtime.garment_mesh import texture_of
-from runtime.garment_setup import GarmentSetup
+from runtime.setup.garment_mesh import texture_of
+from runtime.setup.garment_setup import GarmentSetup
 from tests.wrinkles.databases import placed, small_database
 from wrinkles.database import WrinkleDatabase, body_hash
 from wrinkles.rest_shape import RestShapeCorrection

@@ -19,8 +19,8 @@ from assets.motion import ClipMotion
 from assets.procedural.mannequin import builtin_mannequin
 from assets.skinning import skin_vertices
 from assets.transform import local_matrices, slerp
-from runtime.bake import bake_glb, bake_mdd, bake_obj, bake_pc2, bake_usd
-from runtime.glb import BYTES_A_VERTEX
+from runtime.export.animation_files import bake_glb, bake_mdd, bake_obj, bake_pc2, bake_usd
+from runtime.export.glb import BYTES_A_VERTEX
 from tests.blender import POSED_VERTICES, require_blender
 from tests.refusals import refuses
 from tests.runtime.baking import angles_deg, sheet_sequence, walking_mannequin, waving_sheet

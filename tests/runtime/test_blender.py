@@ -19,8 +19,8 @@ from assets.loading import load_character, load_garment
 from assets.motion import ClipMotion
 from assets.procedural.mannequin import builtin_mannequin
 from assets.skinning import skin_vertices
-from runtime.bake import bake_obj, bake_usd
 from runtime.blender import checks, jobs
+from runtime.export.animation_files import bake_obj, bake_usd
 from tests.blender import POSED_VERTICES, require_blender
 from tests.data import ROOT
 
@@ -128,7 +128,7 @@ def test_commands_learn_and_bake_the_whole_clip(tmp_path: Path) -> None:
     learn, bake = jobs.commands("gube", tmp_path / "scene.toml", "Animation", 24.0)
     assert learn[1:] == ["precompute", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "garment.h5")]
     assert bake[1] == "bake" and bake[-4:] == ["--clip", "Animation", "--rate", "24"]
-    from runtime.command import COMMANDS
+    from runtime.cli.command import COMMANDS
 
     assert {learn[1], bake[1]} <= set(COMMANDS)
 

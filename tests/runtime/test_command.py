@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from runtime import command
-from runtime.arguments import duration
-from runtime.commands import simulate
-from runtime.planner import TARGETS
-from runtime.report import Report
+from runtime.cli import command
+from runtime.cli.arguments import duration
+from runtime.cli.commands import simulate
+from runtime.detail.planner import TARGETS
+from runtime.output.report import Report
 from tests.processes import python
 
 SCENE = '[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\n'
@@ -169,7 +169,7 @@ def test_the_help_says_what_other_files_define() -> None:
 def loaded_by(*words: str) -> set[str]:
     """Modules that are loaded after ``gube`` with these words, which ends by itself."""
     script = (
-        "import sys\nfrom runtime.command import main\n"
+        "import sys\nfrom runtime.cli.command import main\n"
         f"try: main({words!r})\nexcept SystemExit: pass\nprint(*sorted(sys.modules), sep='\\n')"
     )
     return set(python(script).splitlines())
@@ -182,7 +182,7 @@ def test_help_and_bad_words_load_nothing_heavy(words: list[str]) -> None:
 
 def test_a_command_loads_no_other(tmp_path: Path) -> None:
     files = {name for name in loaded_by("play", str(tmp_path / "no.h5")) if ".commands." in name}
-    assert files == {"runtime.commands.play"}
+    assert files == {"runtime.cli.commands.play"}
 
 
 def test_truth_is_played_by_the_file_that_the_table_names(

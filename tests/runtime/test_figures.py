@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from runtime.figures import FIGURES, FIRST, figure_lines, figure_of, value_texts
+from runtime.output.figures import FIGURES, FIRST, figure_lines, figure_of, value_texts
 
 # What the end of a figure's name says about its unit.
 UNITS = {

@@ -16,10 +16,10 @@ from assets.motion import ClipMotion
 from assets.procedural.mannequin import builtin_mannequin
 from pbd.attachment import smooth_normals
 from pbd.mesh import edges_of
-from runtime.bake import bake_glb
-from runtime.fitting import fitted
-from runtime.garment_setup import GarmentSetup
-from runtime.scene_simulation import simulation_of
+from runtime.export.animation_files import bake_glb
+from runtime.setup.fitting import fitted
+from runtime.setup.garment_setup import GarmentSetup
+from runtime.setup.scene_simulation import simulation_of
 from tests.refusals import refuses
 
 SCENE = """

@@ -9,8 +9,8 @@ import pytest
 
 from assets.motion import ClipMotion
 from assets.procedural.mannequin import builtin_mannequin
-from runtime.game_loop import GameLoop, LiveInput, ScriptedInput
-from runtime.player import Player
+from runtime.play.game_loop import GameLoop, LiveInput, ScriptedInput
+from runtime.play.player import Player
 from tests.refusals import refuses
 from tests.runtime.players import skirt_database
 

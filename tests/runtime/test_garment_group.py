@@ -6,10 +6,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from runtime.cost_table import CostTable
-from runtime.garment_group import GarmentGroup
-from runtime.level_of_detail import LevelOfDetail
-from runtime.planner import Planner, ViewSize
+from runtime.detail.cost_table import CostTable
+from runtime.detail.garment_group import GarmentGroup
+from runtime.detail.planner import Planner, ViewSize
+from runtime.play.level_of_detail import LevelOfDetail
 from tests.refusals import refuses
 from tests.runtime.cost_tables import made_front, seen
 

@@ -16,13 +16,13 @@ from assets.procedural.builtin import builtin_garment
 from assets.procedural.mannequin import builtin_mannequin
 from pbd import DistanceField, InputError, Plane
 from pbd.attachment import Attachment
-from runtime.garment_mesh import pattern_of, with_subdivisions
-from runtime.garment_setup import GarmentSetup, colliders_of, fabrics_of, fine_substep_of
-from runtime.plain_cloth import middle_levels
-from runtime.player import Player
-from runtime.scene_body import motion_of
-from runtime.scene_simulation import simulation_of
-from runtime.simulation import body_source, poses_of
+from runtime.play.plain_cloth import middle_levels
+from runtime.play.player import Player
+from runtime.play.simulation import body_source, poses_of
+from runtime.setup.garment_mesh import pattern_of, with_subdivisions
+from runtime.setup.garment_setup import GarmentSetup, colliders_of, fabrics_of, fine_substep_of
+from runtime.setup.scene_body import motion_of
+from runtime.setup.scene_simulation import simulation_of
 from tests.assets.panels import two_panels
 from tests.refusals import refuses
 from tests.wrinkles.databases import small_database

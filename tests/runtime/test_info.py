@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from pbd import Fabric
-from runtime import command
-from runtime.info import check_database, info_text
+from runtime.cli import command
+from runtime.output.database_info import check_database, info_text
 from tests.wrinkles.databases import small_database
 from tests.wrinkles.delivered import delivered_database, delivered_panels
 from wrinkles import patches
@@ -113,7 +113,7 @@ def test_a_delivered_mesh_may_have_another_area_than_its_coarse_one(
     """Decimation cuts its corners; the coarse mesh is given the area of the fine one."""
     path = tmp_path / "panels.h5"
     write_database(path, delivered_database(*delivered_panels()[2:]))
-    monkeypatch.setattr("runtime.info.MAX_AREA_CORRECTION", 0.001)
+    monkeypatch.setattr("runtime.output.database_info.MAX_AREA_CORRECTION", 0.001)
     areas = next(check for check in check_database(path) if check.check == "one rest metric")
     assert areas.passed and abs(float(areas.detail.split()[-1]) - 1.0) > 0.001
     assert [check.check for check in check_database(path) if not check.passed] == []

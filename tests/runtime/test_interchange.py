@@ -17,11 +17,11 @@ from assets.loading import load_character, load_garment
 from assets.motion import ClipMotion
 from assets.procedural.mannequin import builtin_mannequin
 from pbd import InputError
-from runtime import command
-from runtime.bake import bake_mdd, bake_pc2, bake_usd
-from runtime.garment_setup import GarmentSetup
-from runtime.playback_inputs import open_database
-from runtime.scene_body import body_of, motion_of
+from runtime.cli import command
+from runtime.export.animation_files import bake_mdd, bake_pc2, bake_usd
+from runtime.setup.garment_setup import GarmentSetup
+from runtime.setup.playback_inputs import open_database
+from runtime.setup.scene_body import body_of, motion_of
 from tests.assets.captures import write_bvh
 from tests.assets.files import bar_glb, bend_glb
 from tests.refusals import refuses

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from pbd import InputError
-from runtime.game_loop import GameLoop, LiveInput
-from runtime.level_of_detail import LevelOfDetail
-from runtime.player import FADE, Player
-from runtime.simulation import poses_of
+from runtime.play.game_loop import GameLoop, LiveInput
+from runtime.play.level_of_detail import LevelOfDetail
+from runtime.play.player import FADE, Player
+from runtime.play.simulation import poses_of
 from tests.runtime.players import skirt_database, skirt_stage
 from wrinkles.mesh_measures import PIXELS_PER_METRE, pixel_distance
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pbd.mesh import edges_of, lattice_faces
-from runtime.light import LitSurface, Rings, directions_about, directions_everywhere, exposure
+from runtime.draw.light import LitSurface, Rings, directions_about, directions_everywhere, exposure
 
 
 def plate(width: float, height: float, cells: int = 40) -> LitSurface:

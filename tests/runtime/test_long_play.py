@@ -18,10 +18,10 @@ from assets.motion import ClipMotion
 from assets.procedural.mannequin import builtin_mannequin
 from pbd.wind import Wind
 from precompute.experiment.error_classes import LIMITS
-from runtime.game_loop import GameLoop, LiveInput
-from runtime.level_of_detail import LevelOfDetail
-from runtime.player import Player
-from runtime.terminal import say
+from runtime.output.terminal import say
+from runtime.play.game_loop import GameLoop, LiveInput
+from runtime.play.level_of_detail import LevelOfDetail
+from runtime.play.player import Player
 from tests.runtime.players import outfit_database
 
 SECONDS = float(os.environ.get("GUBE_PROOF_SECONDS", "3600"))  # of the garment's time

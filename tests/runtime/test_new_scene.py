@@ -17,11 +17,11 @@ from assets.io.settings import portable_path
 from assets.loading import load_garment
 from assets.placement import fit_of
 from pbd import InputError
-from runtime import command
-from runtime.new_body import BodyGuess, guess_body, guess_motions
-from runtime.new_garment import guess_garment
-from runtime.new_scene import write_new_scene
-from runtime.scene_simulation import simulation_of
+from runtime.cli import command
+from runtime.setup.new_body import BodyGuess, guess_body, guess_motions
+from runtime.setup.new_garment import guess_garment
+from runtime.setup.new_scene import write_new_scene
+from runtime.setup.scene_simulation import simulation_of
 from tests.assets.files import bar_glb, bend_glb
 from tests.data import data_path
 from tests.refusals import refuses
@@ -202,7 +202,7 @@ def test_a_scene_that_is_moved_with_its_files_loads(tmp_path: Path, monkeypatch:
     for one in (folder / "meshes", folder / "scenes", data):
         one.mkdir(parents=True)
     monkeypatch.setenv("GUBE_DATA", str(data))
-    monkeypatch.setattr("runtime.new_scene.simulation_of", lambda scene: None)  # takes time and changes no name
+    monkeypatch.setattr("runtime.setup.new_scene.simulation_of", lambda scene: None)  # takes time and changes no name
     skirt = stored(folder / "meshes", one_layer("skirt"), "skirt.obj")
     shirt = stored(data, one_layer("tshirt"), "shirt.obj")
     write_new_scene(MANNEQUIN, [str(skirt), str(shirt)], folder / "scenes" / "scene.toml")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pbd import Fabric, SolverOptions
-from runtime.opened_start import opened
+from runtime.setup.opened_start import opened
 from tests.pbd.meshes import grid
 from wrinkles.levels import Levels, levels_of
 

@@ -12,10 +12,10 @@ import pytest
 from assets.fabrics import PRESETS
 from assets.io.scene import parse_scene
 from pbd import InputError
-from runtime import command
-from runtime.garment_mesh import pattern_of
-from runtime.garment_setup import GarmentSetup, fabric_of
-from runtime.scene_simulation import garments_of, simulation_of
+from runtime.cli import command
+from runtime.setup.garment_mesh import pattern_of
+from runtime.setup.garment_setup import GarmentSetup, fabric_of
+from runtime.setup.scene_simulation import garments_of, simulation_of
 from tests.assets.panels import two_panels
 from tests.refusals import refuses
 from tests.runtime.players import TROUSERS
@@ -209,7 +209,7 @@ def test_each_garment_of_a_simulated_outfit_is_a_mesh_of_its_own(fine: bool, set
 def test_a_simulated_outfit_is_written_by_garments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, out = tmp_path / "outfit.toml", tmp_path / "outfit.glb"
     path.write_text(OUTFIT, encoding="utf-8")
-    monkeypatch.setattr("runtime.animation_baking.clip_begin", lambda motion: 0.0)
+    monkeypatch.setattr("runtime.export.animation_baking.clip_begin", lambda motion: 0.0)
     assert command.main(["simulate", str(path), "-o", str(out), "--seconds", "0.02"]) == 0
     document = pygltflib.GLTF2().load(str(out))
     assert document is not None

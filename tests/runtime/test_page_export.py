@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from runtime import command, page
-from runtime.page import PAGE, WEB, check_page_folder, write_page
-from runtime.recording_file import read_recording
+from runtime.cli import command
+from runtime.export import page
+from runtime.export.page import PAGE, WEB, check_page_folder, write_page
+from runtime.export.recording_file import read_recording
 from tests.refusals import refuses
 from tests.runtime.players import skirt_database
 from wrinkles.database_file import write_database
@@ -92,7 +93,7 @@ def test_a_page_that_cannot_be_put_in_place_leaves_the_earlier_one(
 
 def test_without_three_js_it_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(page, "WEB", tmp_path)
-    refuses(r"has no three\.js.*make runtime/web/built/three\.js", check_page_folder, tmp_path / "page")
+    refuses(r"has no three\.js.*make runtime/export/web/built/three\.js", check_page_folder, tmp_path / "page")
 
 
 def test_the_page_loads_nothing_from_elsewhere() -> None:

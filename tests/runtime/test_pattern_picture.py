@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from assets.patterns.pattern import Band, EdgeName
-from runtime.pattern_picture import draw_pattern
+from runtime.draw.pattern_picture import draw_pattern
 from tests.assets.patterns.shapes import pattern, tube
 
 BLUE, ORANGE = (31, 119, 180), (255, 127, 14)  # of the first two seams

@@ -10,8 +10,8 @@ from scipy.spatial import ConvexHull
 
 from pbd.errors import InputError
 from pbd.mesh import lattice_faces
-from runtime.picture_content import GARMENT_COLOR, GARMENT_COLORS, Camera, Drawn, frame_camera
-from runtime.pictures import encode_image, render, save_png, strip
+from runtime.draw.picture_content import GARMENT_COLOR, GARMENT_COLORS, Camera, Drawn, frame_camera
+from runtime.draw.pictures import encode_image, render, save_png, strip
 from tests.refusals import refuses
 
 pytest.importorskip("pyvista", reason="pictures are drawn by pyvista")

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from pbd import InputError
-from runtime import command
-from runtime.game_loop import GameLoop, LiveInput
-from runtime.level_of_detail import LevelOfDetail
-from runtime.plain_cloth import PlainCloth, middle_levels, plain_choice
-from runtime.player import Player, player_of
-from runtime.simulation import body_source, poses_of
+from runtime.cli import command
+from runtime.play.game_loop import GameLoop, LiveInput
+from runtime.play.level_of_detail import LevelOfDetail
+from runtime.play.plain_cloth import PlainCloth, middle_levels, plain_choice
+from runtime.play.player import Player, player_of
+from runtime.play.simulation import body_source, poses_of
 from tests.runtime.players import skirt_database, skirt_stage
 from wrinkles.database import CHOICE, WrinkleDatabase
 from wrinkles.database_file import write_database

@@ -12,9 +12,9 @@ from scipy.optimize import linprog
 from assets.io.scene import CameraSettings
 from pbd import InputError
 from precompute.experiment.error_classes import LIMITS
-from runtime.cost_table import CostTable, Setting, read_cost_table, write_cost_table
-from runtime.level_of_detail import LevelOfDetail
-from runtime.planner import HOLD, TARGETS, Planner, ViewSize, sight_of
+from runtime.detail.cost_table import CostTable, Setting, read_cost_table, write_cost_table
+from runtime.detail.planner import HOLD, TARGETS, Planner, ViewSize, sight_of
+from runtime.play.level_of_detail import LevelOfDetail
 from tests.refusals import refuses
 from tests.runtime.cost_tables import made_front, seen
 from wrinkles.mesh_measures import PIXELS_PER_METRE

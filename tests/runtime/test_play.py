@@ -16,14 +16,14 @@ from assets.io.sequence import Sequence
 from assets.loading import load_garment
 from assets.motion import ClipMotion
 from pbd.wind import Wind
-from runtime import command
-from runtime.animation_baking import baked_frames, simulated_frames
-from runtime.play import play
-from runtime.playback_inputs import PlaybackInputs, playback_inputs
-from runtime.player import Player
-from runtime.scene_simulation import simulation_of
-from runtime.simulation import poses_of
-from runtime.strips import draw_strips_apart
+from runtime.cli import command
+from runtime.draw.strips import draw_strips_apart
+from runtime.export.animation_baking import baked_frames, simulated_frames
+from runtime.export.free_run import play
+from runtime.play.player import Player
+from runtime.play.simulation import poses_of
+from runtime.setup.playback_inputs import PlaybackInputs, playback_inputs
+from runtime.setup.scene_simulation import simulation_of
 from tests.processes import python
 from tests.refusals import refuses
 from tests.runtime.players import SCENE, skirt_database, skirt_stage
@@ -103,7 +103,7 @@ def test_play_writes_pictures_and_figures(
 ) -> None:
     drawn: list[tuple] = []
     monkeypatch.setattr(
-        "runtime.play.draw_strips_apart", lambda *given: drawn.append(given) or draw_strips_apart(*given)
+        "runtime.export.free_run.draw_strips_apart", lambda *given: drawn.append(given) or draw_strips_apart(*given)
     )
     pictures, out = tmp_path / "pictures", tmp_path / "play.json"
     assert command.main(["play", str(path), "--seconds", "0.4", "-o", str(pictures), "--json", str(out)]) == 0
@@ -131,7 +131,7 @@ def test_play_loads_nothing_that_only_learning_needs_and_prints_nothing_of_its_e
     path: Path, tmp_path: Path
 ) -> None:
     script = (
-        "import sys; from runtime import command\n"
+        "import sys; from runtime.cli import command\n"
         "status = command.main(sys.argv[1:])\n"
         "loaded = [name for name in ('sklearn', 'matplotlib', 'precompute', 'dask') if name in sys.modules]\n"
         "sys.exit(f'loaded {loaded}' if loaded else status)\n"

@@ -12,9 +12,9 @@ from assets.io.scene import load_scene, parse_scene
 from assets.procedural.exploration import exploration_motion
 from assets.procedural.mannequin import builtin_mannequin
 from pbd.crossings import SelfCrossings
-from runtime.garment_setup import GarmentSetup
-from runtime.scene_simulation import simulation_of
-from runtime.simulation import poses_of
+from runtime.play.simulation import poses_of
+from runtime.setup.garment_setup import GarmentSetup
+from runtime.setup.scene_simulation import simulation_of
 from tests.data import ROOT, data_path
 
 DT = 1.0 / 60.0

@@ -16,8 +16,8 @@ import pytest
 from assets.character import Character
 from assets.fabrics import PRESETS
 from pbd import InputError, Plane, build_model
-from runtime.player import Player
-from runtime.simulation import Simulation, body_source, poses_of
+from runtime.play.player import Player
+from runtime.play.simulation import Simulation, body_source, poses_of
 from tests.data import ROOT
 from tests.runtime.players import skirt_database, skirt_stage
 
@@ -158,9 +158,9 @@ SCRIPT = """
 import hashlib
 from pbd.engine import ti
 from pbd.taichi_internals import translations
-from runtime.level_of_detail import LevelOfDetail
-from runtime.player import Player
-from runtime.simulation import poses_of
+from runtime.play.level_of_detail import LevelOfDetail
+from runtime.play.player import Player
+from runtime.play.simulation import poses_of
 from tests.runtime.players import skirt_database, skirt_stage
 
 def compiled():

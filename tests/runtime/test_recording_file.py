@@ -18,12 +18,10 @@ from assets.io.sequence import Sequence, SequenceMotion
 from assets.motion import ClipMotion, Motion
 from assets.procedural.mannequin import builtin_mannequin
 from pbd import InputError
-from runtime import recording
-from runtime.animation_baking import clip_begin
-from runtime.page import WEB
-from runtime.playback_inputs import PlaybackInputs
-from runtime.player import Player
-from runtime.recording import (
+from runtime.export import recording
+from runtime.export.animation_baking import clip_begin
+from runtime.export.page import WEB
+from runtime.export.recording import (
     BODY_STEP,
     GARMENT_STEP,
     MATRIX_STEP,
@@ -32,8 +30,10 @@ from runtime.recording import (
     RecordedTruth,
     record,
 )
-from runtime.recording_file import LARGEST, Quantised, links_of, quantised, read_recording, recording_bytes
-from runtime.simulation import poses_of
+from runtime.export.recording_file import LARGEST, Quantised, links_of, quantised, read_recording, recording_bytes
+from runtime.play.player import Player
+from runtime.play.simulation import poses_of
+from runtime.setup.playback_inputs import PlaybackInputs
 from tests.refusals import refuses
 from tests.runtime.players import outfit_database, skirt_database, skirt_stage
 from tests.wrinkles.delivered import delivered_database, delivered_panels

@@ -9,8 +9,8 @@ from assets.io.scene import parse_scene
 from assets.motion import Motion
 from pbd.crossings import SelfCrossings
 from pbd.distance import BodyDistance
-from runtime.scene_simulation import simulation_of
-from runtime.simulation import Simulation
+from runtime.play.simulation import Simulation
+from runtime.setup.scene_simulation import simulation_of
 
 RATE = 60  # frames a second
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from runtime import report
-from runtime.report import Progress, machine_description, process_age, write_report
+from runtime.output import report
+from runtime.output.report import Progress, machine_description, process_age, write_report
 
 
 def test_numpy_and_unusual_numbers_become_plain_json(tmp_path: Path) -> None:

@@ -16,9 +16,9 @@ from assets.procedural.mannequin import DATA
 from assets.sewing.sewing import sew
 from assets.sewing.sewn_file import read_sewn, write_sewn
 from pbd.mesh import MAX_STRETCH
-from runtime import command
-from runtime.garment_setup import GarmentSetup
-from runtime.scene_simulation import simulation_of
+from runtime.cli import command
+from runtime.setup.garment_setup import GarmentSetup
+from runtime.setup.scene_simulation import simulation_of
 from tests.assets.sewing.tubes import egg, tube_pattern
 
 

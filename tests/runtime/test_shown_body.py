@@ -9,10 +9,10 @@ from assets.io.scene import parse_scene
 from assets.io.sequence import Sequence
 from assets.procedural.mannequin import builtin_mannequin
 from pbd import ClothMesh
-from runtime.garment_setup import GarmentSetup
-from runtime.play import posed_bodies
-from runtime.shown_body import FULL, INSET, RIM, depth_under_cloth, insets, shown_body
-from runtime.simulation import body_source
+from runtime.draw.shown_body import FULL, INSET, RIM, depth_under_cloth, insets, shown_body
+from runtime.export.free_run import posed_bodies
+from runtime.play.simulation import body_source
+from runtime.setup.garment_setup import GarmentSetup
 from tests.wrinkles.meshes import tube
 
 SCENE = '[[garment]]\nname = "g"\nmesh = "builtin:tshirt"\n[character]\nfile = "builtin:mannequin"\nclip = "walk"\n'

@@ -7,8 +7,8 @@ import pytest
 
 from assets.procedural.mannequin import builtin_mannequin
 from pbd import ClothMesh, Fabric, Plane, build_model
-from runtime.game_loop import GameLoop, LiveInput
-from runtime.simulation import Simulation, body_source
+from runtime.play.game_loop import GameLoop, LiveInput
+from runtime.play.simulation import Simulation, body_source
 from tests.refusals import refuses
 
 VACUUM = Fabric(air_drag=0.0)

@@ -17,8 +17,8 @@ from typing import TextIO
 
 import pytest
 
-from runtime.report import Progress
-from runtime.terminal import is_plain, say, say_error
+from runtime.output.report import Progress
+from runtime.output.terminal import is_plain, say, say_error
 from tests.data import ROOT
 
 WIDTH = 80

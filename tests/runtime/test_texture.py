@@ -15,9 +15,9 @@ from assets.character import Character
 from assets.io.scene import parse_scene
 from assets.io.sequence import Sequence, load_sequence
 from assets.loading import load_character, load_garment
-from runtime.animation_baking import write_baked
-from runtime.bake import bake_glb, bake_mdd, bake_obj, bake_usd
-from runtime.garment_mesh import subdivided, texture_of
+from runtime.export.animation_baking import write_baked
+from runtime.export.animation_files import bake_glb, bake_mdd, bake_obj, bake_usd
+from runtime.setup.garment_mesh import subdivided, texture_of
 from tests.assets.files import bar_glb
 from tests.assets.panels import two_panels
 from tests.refusals import refuses

@@ -12,7 +12,7 @@ from pxr import Usd, UsdGeom, UsdShade, UsdSkel, UsdValidation
 
 from assets.skinning import skin_vertices
 from pbd.errors import InputError
-from runtime.bake import bake_usd
+from runtime.export.animation_files import bake_usd
 from tests.runtime.baking import angles_deg, sheet_sequence, walking_mannequin, waving_sheet
 from wrinkles.mesh_measures import vertex_normals
 

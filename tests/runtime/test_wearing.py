@@ -15,11 +15,11 @@ from assets.motion import ClipMotion
 from assets.procedural.mannequin import builtin_mannequin
 from pbd import Fabric, State
 from pbd.layers import layered
-from runtime.dressing import Stay, take_over
-from runtime.game_loop import GameLoop, LiveInput
-from runtime.garment_setup import GarmentSetup
-from runtime.player import Player
-from runtime.simulation import Simulation
+from runtime.play.dressing import Stay, take_over
+from runtime.play.game_loop import GameLoop, LiveInput
+from runtime.play.player import Player
+from runtime.play.simulation import Simulation
+from runtime.setup.garment_setup import GarmentSetup
 from tests.pbd.meshes import cloth, free_model, grid
 from tests.refusals import refuses
 from tests.runtime.players import OUTFIT, outfit_database, random_database

@@ -16,8 +16,8 @@ from assets.io.file_cache import kept_while_unchanged
 from assets.io.scene import parse_scene
 from assets.procedural.mannequin import builtin_mannequin
 from pbd import DistanceField
-from runtime.garment_setup import colliders_of
-from runtime.scene_body import clip_of, load_body
+from runtime.setup.garment_setup import colliders_of
+from runtime.setup.scene_body import clip_of, load_body
 from tests.assets.captures import write_bvh
 from tests.assets.files import bar_glb, turn_z
 from tests.wrinkles.meshes import icosphere

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from assets.patterns.check import check_pattern
 from assets.patterns.pattern import Band, EdgeName, Panel, Seam
+from assets.patterns.pattern_checks import check_pattern
 from pbd.errors import InputError
 from tests.assets.patterns.shapes import darted, pattern, polygon, tube
 from tests.refusals import refuses

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from assets.patterns.check import check_pattern
 from assets.patterns.load import load_pattern
 from assets.patterns.panel_mesh import cut
 from assets.patterns.pattern import Band, EdgeName, Panel, Pattern, Seam
+from assets.patterns.pattern_checks import check_pattern
 from assets.patterns.short_edges import join_edges, joinable_edges
 from assets.sewing.pieces import join, pieces_of
 from pbd.errors import InputError

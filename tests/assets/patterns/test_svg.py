@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from assets.patterns.check import check_pattern
 from assets.patterns.pattern import Panel
+from assets.patterns.pattern_checks import check_pattern
 from assets.patterns.svg import read_svg
 from pbd.errors import InputError
 from tests.assets.patterns.shapes import pattern

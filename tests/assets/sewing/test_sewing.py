@@ -16,10 +16,10 @@ from assets.patterns.load import load_pattern
 from assets.patterns.panel_mesh import cut
 from assets.sewing.arrangement import CLEARANCE, arranged
 from assets.sewing.body import StandingBody
-from assets.sewing.garment import SewnGarment, drape_figures, faults_of, faulty_panels
 from assets.sewing.pieces import pieces_of
 from assets.sewing.sewing import SewingError, arranged_pieces, sew
 from assets.sewing.sewn_file import read_sewn, write_sewn
+from assets.sewing.sewn_garment import SewnGarment, drape_figures, faults_of, faulty_panels
 from pbd.contact.colliders import Body
 from pbd.distance import BodyDistance
 from tests.assets.sewing.tubes import egg, tube_pattern

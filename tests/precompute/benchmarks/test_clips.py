@@ -15,7 +15,7 @@ from assets.procedural.mannequin import builtin_mannequin
 from pbd import ClothMesh, Fabric, InputError, build_model
 from pbd.distance import BodyDistance
 from precompute.benchmarks.clips import CLIPS, MAX_OVER_LIMBS, clip_rows, overlapping, run_clip, shrinking, write_clips
-from runtime.simulation import Simulation, body_source
+from runtime.play.simulation import Simulation, body_source
 from tests.data import data_path
 from tests.wrinkles.meshes import icosphere
 

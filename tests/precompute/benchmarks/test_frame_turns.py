@@ -9,7 +9,7 @@ import pytest
 
 from pbd import InputError
 from precompute.benchmarks.frame_turns import FRAMES, FrameComparison, compare_frames
-from runtime.command import main
+from runtime.cli.command import main
 from tests.data import ROOT
 from tests.runtime.players import skirt_database
 from wrinkles.database_file import write_database
@@ -53,8 +53,8 @@ def test_a_ratio_is_the_median_of_the_turns_ratios() -> None:
 def test_a_folder_that_plays_nothing_is_refused(path: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--against.*runtime/"):
         compare_frames(path, tmp_path, 0.5)
-    (tmp_path / "runtime").mkdir()
-    (tmp_path / "runtime" / "player.py").write_text("")
+    (tmp_path / "runtime" / "play").mkdir(parents=True)
+    (tmp_path / "runtime" / "play" / "player.py").write_text("")
     with pytest.raises(InputError, match="does not play the database"):
         compare_frames(path, tmp_path, 0.5)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from assets.io.scene import parse_scene
-from runtime.scene_simulation import simulation_of
+from runtime.setup.scene_simulation import simulation_of
 
 RATE = 60  # frames a second
 # Garments with their fabrics, from the innermost outwards.

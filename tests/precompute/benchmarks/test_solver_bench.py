@@ -19,7 +19,7 @@ from precompute.benchmarks.solver_bench import (
 )
 from precompute.experiment.engines import accurate, bench_engines
 from precompute.experiment.swinging_square import SquareFigures, SquareRun, hanging_square, measure
-from runtime import command
+from runtime.cli import command
 
 GOOD = SquareFigures(1.0, 0.005, 0.01, 0.03, 0.24)
 

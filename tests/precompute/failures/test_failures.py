@@ -19,7 +19,7 @@ from precompute.failures.failure_comparisons import comparisons
 from precompute.failures.failure_play import FailureOutcome, FailureScene, play
 from precompute.failures.failure_scenes import HUNG, scenes
 from precompute.failures.failures import all_failure_rows, failure_rows, failure_table, write_failures
-from runtime.command import main
+from runtime.cli.command import main
 from tests.data import ROOT
 
 SLOW = ("sheet in folds over a ball", "three sheets of 1 mm on the ground", "two arms of triangles")

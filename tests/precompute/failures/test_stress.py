@@ -8,7 +8,7 @@ import pytest
 
 from pbd import Colliders, InputError, Solver, State
 from precompute.failures.stress import QUOTED, RUNS, stress_figures, stress_rows, stress_text
-from runtime.command import main
+from runtime.cli.command import main
 
 HARD = ("E h 1e8 N/m", "frames of 1/10 s", "a pinned corner jumps by 1 m")
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from pbd import Fabric, ModelOptions, SolverOptions
 from precompute.learning.run_recording import Run
-from runtime.simulation import poses_of
+from runtime.play.simulation import poses_of
 from tests.runtime.players import skirt_stage
 
 __all__ = ["CHUNK", "FRAMES", "skirt_run"]

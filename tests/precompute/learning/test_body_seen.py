@@ -10,13 +10,13 @@ from assets.io.scene import load_scene
 from pbd.crossings import SelfCrossings
 from precompute.learning.body_seen import BEHIND, body_seen_figures
 from precompute.learning.nearest_faces import FAR, nearest_faces
-from runtime.garment_setup import GarmentSetup, fabrics_of
-from runtime.picture_content import Camera
-from runtime.plain_surface import PlainSurface
-from runtime.play import posed_bodies
-from runtime.scene_simulation import simulation_of
-from runtime.shown_body import depth_under_cloth, shown_body
-from runtime.simulation import poses_of
+from runtime.draw.picture_content import Camera
+from runtime.draw.shown_body import depth_under_cloth, shown_body
+from runtime.export.free_run import posed_bodies
+from runtime.play.plain_surface import PlainSurface
+from runtime.play.simulation import poses_of
+from runtime.setup.garment_setup import GarmentSetup, fabrics_of
+from runtime.setup.scene_simulation import simulation_of
 from tests.data import ROOT, data_path
 from tests.wrinkles.meshes import icosphere
 from wrinkles.clearance import facing

@@ -8,8 +8,8 @@ from pbd import Fabric, ModelOptions, SolverOptions
 from precompute.learning.decoding import decode_recording, with_vertex_mean
 from precompute.learning.run_recording import Recording, Run
 from precompute.learning.training import build_layer, features_of
-from runtime.garment_setup import GarmentSetup
-from runtime.simulation import poses_of
+from runtime.play.simulation import poses_of
+from runtime.setup.garment_setup import GarmentSetup
 from tests.precompute.miniature import scene
 from tests.wrinkles.databases import placed, small_database
 from wrinkles.vertex_mean import MEAN_STEP, turned

@@ -8,7 +8,7 @@ import pytest
 from precompute.learning.in_time import SLOWED, Pause, popping
 from precompute.learning.run_recording import Run
 from precompute.learning.truth import fine_run
-from runtime.simulation import poses_of
+from runtime.play.simulation import poses_of
 from tests.runtime.players import skirt_database, skirt_stage
 
 START, STILL, PIECE = 1.5, 0.4, 0.5

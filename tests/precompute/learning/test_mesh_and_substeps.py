@@ -19,8 +19,8 @@ from precompute.learning.truth import Truth, truth_of
 from precompute.reporting.cost_charts import Chart, Point, draw_charts, write_png
 from precompute.workers import Workers
 from precompute.wrinkle_comparison.baselines import PlayerTurn, take_turns
-from runtime.garment_setup import GarmentSetup, scene_of
-from runtime.player import Player
+from runtime.play.player import Player
+from runtime.setup.garment_setup import GarmentSetup, scene_of
 from tests.data import ROOT
 from wrinkles.database import WrinkleDatabase
 from wrinkles.database_file import read_database

@@ -8,8 +8,8 @@ import pytest
 from assets.motion import ClipMotion
 from assets.procedural.mannequin import builtin_mannequin
 from precompute.learning.pipeline import precompute
-from runtime.plain_cloth import PlainCloth
-from runtime.player import Player
+from runtime.play.plain_cloth import PlainCloth
+from runtime.play.player import Player
 from tests.precompute.miniature import OPTIONS, SCENE, scene
 from tests.runtime.players import TROUSERS
 from wrinkles.database import WrinkleDatabase

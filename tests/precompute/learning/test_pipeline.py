@@ -16,8 +16,8 @@ from precompute.learning.options import LearningOptions
 from precompute.learning.pipeline import STAGES, Precomputed, default_cache, precompute, scene_run, training_recordings
 from precompute.learning.run_recording import Recording, Run
 from precompute.learning.truth import judged_from, levels_from, settled
-from runtime.garment_setup import GarmentSetup, scene_of
-from runtime.player import Player
+from runtime.play.player import Player
+from runtime.setup.garment_setup import GarmentSetup, scene_of
 from tests.precompute.miniature import OPTIONS, SCENE, same, same_learned, scene
 from wrinkles.database_file import read_database
 

@@ -13,7 +13,7 @@ from assets.io.sequence import Sequence
 from pbd import ClothMesh, Fabric, ModelOptions, Plane, SolverOptions
 from precompute.learning import run_recording as recording
 from precompute.learning.run_recording import Recording, record_runs
-from runtime.simulation import Simulation, body_source
+from runtime.play.simulation import Simulation, body_source
 from tests.data import ROOT
 from tests.precompute.learning.runs import CHUNK, FRAMES, skirt_run
 from tests.wrinkles.meshes import flat_sheet, icosphere
@@ -129,7 +129,7 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 from precompute.learning import run_recording as recording
-from runtime.simulation import Simulation, body_source
+from runtime.play.simulation import Simulation, body_source
 from tests.precompute.learning.runs import CHUNK, skirt_run
 
 recording.CHUNK_SECONDS = CHUNK / 60

@@ -15,8 +15,8 @@ import pytest
 from precompute.learning.pipeline import Precomputed, default_cache, precompute
 from precompute.planning import cost_measurement as measuring
 from precompute.planning.planning import cost_table_of, plain_cloth
-from runtime import command
-from runtime.cost_table import CostTable, cost_table_path
+from runtime.cli import command
+from runtime.detail.cost_table import CostTable, cost_table_path
 from tests.precompute.miniature import OPTIONS, SCENE
 from tests.runtime.cost_tables import made_front
 

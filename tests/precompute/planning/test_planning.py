@@ -10,8 +10,8 @@ from assets.io.scene import load_scene
 from precompute.demo_run import FULL
 from precompute.learning.pipeline import precompute
 from precompute.planning.planning import cost_table_of, plan_figures, seen_from
-from runtime.cost_table import CostTable
-from runtime.planner import Planner
+from runtime.detail.cost_table import CostTable
+from runtime.detail.planner import Planner
 from wrinkles.database_file import read_database
 
 

@@ -13,7 +13,7 @@ import pytest
 from pbd.errors import InputError
 from precompute.reporting.cost_charts import _COLORS, draw_charts, pareto_front
 from precompute.reporting.html_page import Chart, Heading, Picture, Point, Table, Text, render_page, write_page
-from runtime.pictures import save_png
+from runtime.draw.pictures import save_png
 
 VOID = {"meta", "img"}
 HOSTILE = "<script>alert(\"x\")</script> & <b onclick='y'>"

@@ -16,7 +16,7 @@ from precompute.stability.stability_maps import MAPS, StabilityMap, chosen_cell
 from precompute.stability.stability_page import stability_text, write_stability
 from precompute.stability.stability_sweep import StabilitySweep, cell_command, sweep
 from precompute.stability.stability_theory import explicit_limit, membrane_limit, theory_of
-from runtime import command
+from runtime.cli import command
 
 EXPLICIT = "springs-triangle/symplectic-euler"
 SECONDS = 0.6

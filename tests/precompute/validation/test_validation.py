@@ -18,7 +18,7 @@ from precompute.validation.trial import FABRIC, Curve, Trial, TrialResult, Trial
 from precompute.validation.validation import ROWS, chosen_rows, result_row, validate, validation_text
 from precompute.validation.validation_pictures import draw_results
 from precompute.validation.validation_row import Parameter, Row
-from runtime import command
+from runtime.cli import command
 
 TABLE = (
     "cantilever bending_direction upright_buckling lateral_buckling stick_slip tension hanging_strip catenary swing "

@@ -31,11 +31,11 @@ from precompute.wrinkle_comparison.compare_database import (
 from precompute.wrinkle_comparison.comparison import ERRORS, Comparison, Method, MotionComparison
 from precompute.wrinkle_comparison.comparison_page import verdict, write_comparison
 from precompute.wrinkle_comparison.realism import FEWEST_FRAMES
-from runtime import command
-from runtime.info import better_choice, info_text
-from runtime.plain_cloth import PlainCloth, middle_levels
-from runtime.player import Player
-from runtime.simulation import Simulation, body_source, poses_of
+from runtime.cli import command
+from runtime.output.database_info import better_choice, info_text
+from runtime.play.plain_cloth import PlainCloth, middle_levels
+from runtime.play.player import Player
+from runtime.play.simulation import Simulation, body_source, poses_of
 from tests.runtime.players import SCENE, skirt_database, skirt_stage, tube
 from tests.wrinkles.databases import placed
 from wrinkles.database import WrinkleDatabase

@@ -15,7 +15,7 @@ from precompute.learning.pipeline import scene_run
 from precompute.learning.training import build_layer, coefficients_of
 from precompute.learning.truth import truth_of
 from precompute.wrinkle_comparison.realism import PatchStatistics, realism
-from runtime.garment_setup import GarmentSetup, scene_of
+from runtime.setup.garment_setup import GarmentSetup, scene_of
 from tests.data import ROOT
 from wrinkles.database_file import read_database
 

@@ -13,7 +13,7 @@ from precompute.learning.pipeline import Precomputed
 from precompute.wrinkle_comparison import wrinkle_comparison
 from precompute.wrinkle_comparison.wrinkle_comparison import compare_wrinkles_file
 from precompute.wrinkle_comparison.wrinkle_page import wrinkle_rows, wrinkle_verdict, write_wrinkles
-from runtime import command
+from runtime.cli import command
 from tests.precompute.miniature import SCENE, scene
 from tests.runtime.players import skirt_database
 from wrinkles.database_file import write_database

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from assets.io.scene import load_scene
-from runtime.shown_body import INSET
+from runtime.draw.shown_body import INSET
 from runtime.viewer.colors import SCALES
 from runtime.viewer.garments import FabricFactors, ShownTruth, ViewedGarment
 from runtime.viewer.sources import DatabaseSource, SceneSource

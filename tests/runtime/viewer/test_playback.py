@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pbd.wind import Wind
-from runtime.player import Player
+from runtime.play.player import Player
 from runtime.viewer import playback as module
 from runtime.viewer.playback import Playback
 from tests.refusals import refuses

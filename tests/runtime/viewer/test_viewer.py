@@ -19,11 +19,11 @@ import zstandard
 from websockets.sync.client import ClientConnection, connect
 
 from assets.io.scene import load_scene
-from assets.io.view import ViewSettings
-from runtime.viewer import opening
+from assets.io.view_settings import ViewSettings
+from runtime.viewer import opened_view
 from runtime.viewer.colors import CLOTH_COLORS
 from runtime.viewer.garments import FabricFactors
-from runtime.viewer.opening import Opened, open_source
+from runtime.viewer.opened_view import Opened, open_source
 from runtime.viewer.saving import clip_frames
 from runtime.viewer.sources import DatabaseSource
 from runtime.viewer.viewer import Viewer
@@ -367,7 +367,7 @@ def test_without_a_file_the_demo_is_opened(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.chdir(tmp_path)
     source = open_source(None).source
     assert not isinstance(source, DatabaseSource) and "gube demo" in source.notice
-    write_database(tmp_path / opening.DEMO_DATABASE, skirt_source().database)
+    write_database(tmp_path / opened_view.DEMO_DATABASE, skirt_source().database)
     assert isinstance(open_source(None).source, DatabaseSource)
 
 

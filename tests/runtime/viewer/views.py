@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from runtime.playback_inputs import playback_inputs
+from runtime.setup.playback_inputs import playback_inputs
 from runtime.viewer.sources import DatabaseSource
 from tests.data import ROOT
 from tests.runtime.players import outfit_database, skirt_database
