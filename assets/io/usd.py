@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from assets.body_checks import HEIGHTS, UNITS
+from assets.extras import require_extra
 from assets.io.usd_guard import require_sound
 from assets.polygons import triangulate
 from assets.text import read_text
@@ -53,8 +54,9 @@ def open_stage(path: Path, guarded: bool = True) -> Iterator[Any]:
         guarded: whether it is first read in another process, see :mod:`assets.io.usd_guard`.
 
     Raises:
-        InputError: the file cannot be read, is damaged, or refers to something that cannot be opened.
+        InputError: the file cannot be read, is damaged, or refers to something that cannot be opened; no USD installed.
     """
+    require_extra("usd", path)
     from pxr import Tf, Usd
 
     try:
@@ -118,9 +120,9 @@ def has_skeleton(path: Path) -> bool:
     Raises:
         InputError: as :func:`open_stage`.
     """
-    from pxr import UsdSkel
-
     with open_stage(path) as stage:
+        from pxr import UsdSkel
+
         return bool(prims(stage, UsdSkel.Skeleton))
 
 

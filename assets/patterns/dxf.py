@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from assets.extras import require_extra
 from assets.patterns.fold import unfolded
 from assets.patterns.pattern import Panel
 from assets.patterns.sheet import MAX_GAP, edges_of_pieces, panel_of_outline
@@ -49,6 +50,7 @@ def read_dxf(path: Path) -> tuple[Panel, ...]:
             blocks in blocks, a clipped block, or a block that has a cutout, no outline, or a sew line that does not
             belong to its cut line.
     """
+    require_extra("sew", path)
     try:
         return _panels(path)
     except InputError:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from assets.extras import require_extra
 from assets.patterns.curves import bezier
 from assets.patterns.pattern import Panel
 from assets.patterns.sheet import edges_of_pieces, panel_of_outline
@@ -46,6 +47,7 @@ def read_svg(path: Path) -> tuple[Panel, ...]:
             a grain line without its panel, or a shape that is drawn and not read
             (:func:`assets.patterns.svg_display.drawn_shapes`).
     """
+    require_extra("sew", path)
     try:
         return _panels(path)
     except InputError:

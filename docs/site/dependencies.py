@@ -20,7 +20,13 @@ from packaging.licenses import InvalidLicenseExpression, canonicalize_license_ex
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from assets.extras import EXTRAS
 from gube import __version__
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 __all__ = ["BILL", "Locked", "bill_of_materials", "direct_reasons", "licence_of", "locked"]
 
@@ -130,11 +136,16 @@ def _from_npm() -> Iterator[Locked]:
 
 def _requirements(name: str, extras: set[str]) -> Iterator[str]:
     """Names of what a package needs, on any system; of its extras, only those that the project asks for."""
-    texts = ELSEWHERE[name][1] if name in ELSEWHERE else distribution(name).requires or []
+    if name == "gube":  # as it will be installed, with all that its commands may need
+        project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+        optional = project["optional-dependencies"]
+        texts = [*project["dependencies"], *(text for extra in EXTRAS for text in optional[extra])]
+    else:
+        texts = ELSEWHERE[name][1] if name in ELSEWHERE else distribution(name).requires or []
     for text in texts:
         wish = Requirement(text)
         extra = re.search(r'extra == "([^"]*)"', str(wish.marker))
-        if extra is None or (name != "gube" and extra[1] in extras):
+        if extra is None or extra[1] in extras:
             yield canonicalize_name(wish.name)
 
 

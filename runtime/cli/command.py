@@ -73,6 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     from concurrent.futures import BrokenExecutor
 
+    from assets.extras import missing_library
     from pbd.errors import InputError
     from runtime.output.outputs import check_file
     from runtime.output.report import write_report
@@ -87,6 +88,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 write_report(options.json, options.command, report.figures, report.rows)
     except InputError as error:
         say_error(f"gube {options.command}", error)
+        return 2
+    except ModuleNotFoundError as error:
+        missing = missing_library(error.name or "")
+        if missing is None:
+            raise
+        say_error(f"gube {options.command}", missing)
         return 2
     except OSError as error:  # a full disk, or one that went away
         say_error(f"gube {options.command}", _disk_problem(error))

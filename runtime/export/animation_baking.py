@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from assets.character import Character
+from assets.extras import require_extra
 from assets.io.scene import Scene
 from assets.io.sequence import Sequence
 from assets.motion import ClipMotion, Motion
@@ -21,9 +22,9 @@ from runtime.play.simulation import Simulation
 from runtime.setup.playback_inputs import PlaybackInputs
 from wrinkles.database import WrinkleDatabase
 
-__all__ = ["BAKED", "baked_frames", "clip_begin", "simulated_frames", "whole_steps", "write_baked"]
+__all__ = ["baked_frames", "check_baked", "clip_begin", "simulated_frames", "whole_steps", "write_baked"]
 
-BAKED = (".glb", ".usdc", ".pc2", ".mdd", ".obj")
+_BAKED = (".glb", ".usdc", ".pc2", ".mdd", ".obj")
 BAKED_HZ = 30.0  # of a simulated animation [Hz]
 TOLD = 30  # frames from one line of progress to the next
 
@@ -138,6 +139,17 @@ def simulated_frames(
     return np.array(frames, np.float32), poses, 1.0 / (every * dt), figures
 
 
+def check_baked(path: Path) -> None:
+    """Refuse a file to which nothing could be baked later.
+
+    Raises:
+        InputError: the extension is unknown, the file cannot be written, or it is USD, which is not installed.
+    """
+    check_file(path, *_BAKED)
+    if path.suffix.lower() == ".usdc":
+        require_extra("usd", path)
+
+
 def write_baked(
     path: Path,
     faces: np.ndarray,
@@ -166,7 +178,7 @@ def write_baked(
     Raises:
         InputError: the extension is unknown, or the file cannot be written.
     """
-    check_file(path, *BAKED)
+    check_baked(path)
     ending = path.suffix.lower()
     if ending in (".glb", ".usdc"):
         bake = bake_glb if ending == ".glb" else bake_usd

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from assets.character import Character
+from assets.extras import require_extra
 from assets.skinning import skin_vertices
 from assets.transform import decompose, local_matrices
 from pbd.errors import InputError
@@ -31,6 +32,7 @@ class UsdFile:
     """
 
     def __init__(self, rate_hz: float, frame_count: int) -> None:
+        require_extra("usd")
         from pxr import Usd, UsdGeom
 
         self._stage: Any = Usd.Stage.CreateInMemory()

@@ -32,16 +32,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Report:
     """Play the first motion that is asked for and write it."""
     from runtime.draw.shown_body import shown_body
-    from runtime.export.animation_baking import BAKED, baked_frames, write_baked
+    from runtime.export.animation_baking import baked_frames, check_baked, write_baked
     from runtime.output.database_info import better_choice
-    from runtime.output.outputs import check_file, check_is_no_source
+    from runtime.output.outputs import check_is_no_source
     from runtime.output.report import Progress, Report
     from runtime.output.terminal import say
     from runtime.setup.garment_setup import scene_of
     from runtime.setup.playback_inputs import open_database
     from wrinkles.levels import garment_vertices
 
-    check_file(options.output, *BAKED)
+    check_baked(options.output)
     database, inputs = open_database(
         options.database,
         character=options.character,

@@ -66,6 +66,7 @@ def play_motions(
         options: of the command.
         figures_of: plays one motion of the cast and returns its figures.
     """
+    from assets.extras import require_extra
     from runtime.output.database_info import better_choice
     from runtime.output.figures import figure_lines
     from runtime.output.outputs import check_folder
@@ -77,6 +78,7 @@ def play_motions(
     import_s = process_age()
     if options.loop is None:
         check_folder(options.output)
+        require_extra("report")
     database, inputs = open_database(
         options.database,
         character=options.character,

@@ -72,6 +72,7 @@ def run(options: argparse.Namespace) -> Report:
     """Sew a pattern and write the garment."""
     import numpy as np
 
+    from assets.extras import require_extra
     from assets.loading import load_standing_body
     from assets.sewing.sewing import SewingError, sew
     from assets.sewing.sewn_file import write_sewn
@@ -83,6 +84,7 @@ def run(options: argparse.Namespace) -> Report:
     check_file(options.output, ".npz")
     if options.picture:
         check_file(options.picture, ".png", key="--picture")
+        require_extra("report", options.picture)
     began = time.monotonic()
     body = load_standing_body(options.body)
     pattern = _pattern_of(options, body)

@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> Report:
     """Simulate a scene and write the animation, or only print the scene."""
     from assets.io.scene import load_scene, scene_text
     from runtime.output.figures import figure_lines
-    from runtime.output.outputs import check_file, check_is_no_source
+    from runtime.output.outputs import check_is_no_source
     from runtime.output.report import Progress, Report
     from runtime.output.terminal import say
 
@@ -59,10 +59,10 @@ def run(options: argparse.Namespace) -> Report:
     if options.explain:
         say(scene_text(with_subdivisions(scene)).removesuffix("\n"), verbatim=True)
         return Report()
-    from runtime.export.animation_baking import BAKED, clip_begin, simulated_frames, write_baked
+    from runtime.export.animation_baking import check_baked, clip_begin, simulated_frames, write_baked
 
     output = options.output or Path("out") / f"{options.scene.stem}.glb"
-    check_file(output, *BAKED)
+    check_baked(output)
     check_is_no_source(output, scene)
     body = None if scene.character is None else body_of(scene)  # as it is before its file changes
     openings: list[str] = []

@@ -50,6 +50,9 @@ def view(options: argparse.Namespace, truths: Truths | None) -> Report:
     """
     import threading
 
+    from assets.extras import require_extra
+
+    require_extra("view")
     from runtime.output.outputs import check_folder
     from runtime.output.report import Report
     from runtime.output.terminal import say
