@@ -52,7 +52,7 @@ test: .venv/ready
 # Pages in Debian's Chromium, which is installed where it is missing.
 CHROMIUM := /usr/bin/chromium
 browser-test: .venv/ready $(WEB)/built/three.js $(CHROMIUM)
-	$(BIN)/python -m pytest tests/browser -m browser --durations 5
+	$(BIN)/python -m pytest tests/browser -m browser -n auto --maxprocesses 2 --dist loadfile --durations 5
 
 $(CHROMIUM):
 	@echo "installing Debian's chromium"

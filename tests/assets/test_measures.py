@@ -117,7 +117,7 @@ def measured(body: StandingBody) -> BodyMeasures:
 
 
 # Bodies of many parts or of many vertices take seconds each.
-QUICK = ("mannequin", "woman", "heavy", "quaternius")
+QUICK = ("woman", "quaternius")
 
 
 @pytest.mark.parametrize(

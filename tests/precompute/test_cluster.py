@@ -94,6 +94,7 @@ def test_an_error_of_a_job_comes_back_as_it_was(workers: Workers) -> None:
     assert workers.run([partial(_late, 0.0, 1)])[0][0] == 1
 
 
+@pytest.mark.proof
 def test_a_job_whose_process_is_killed_runs_again_elsewhere(workers: Workers, tmp_path: Path) -> None:
     """What other jobs still need may have lain on the process that ended."""
     shared = np.arange(300_000.0)
@@ -122,6 +123,7 @@ def runs() -> list[Run]:
     return [replace(coarse, poses=coarse.poses[first : first + 100]) for first in (0, 10)]
 
 
+@pytest.mark.proof
 def test_runs_are_the_same_bits_and_go_on_from_what_is_there(workers: Workers, runs: list[Run], tmp_path: Path) -> None:
     here, there = tmp_path / "here", tmp_path / "there"
     expected = record_runs(runs, here, 1)

@@ -176,6 +176,7 @@ print(len(poses) - 1, before, compiled(), player.simulation.state.hash(), digest
 """
 
 
+@pytest.mark.proof
 def test_120_frames_are_the_same_bits_on_one_thread_and_on_two() -> None:
     runs = []
     for threads in ("1", "2"):

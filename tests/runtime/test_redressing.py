@@ -68,6 +68,7 @@ def test_a_skirt_that_wind_hooks_through_the_legs_is_put_back() -> None:
     assert len(SelfCrossings(simulation.model.mesh).find(simulation.vertices)) == 0
 
 
+@pytest.mark.proof
 def test_what_is_pulled_is_not_put_back_while_it_is_pulled() -> None:
     simulation, motion = worn("skirt", "top")
     pose, put_back = motion.pose(0.0), simulation.redressing

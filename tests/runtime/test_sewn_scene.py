@@ -75,8 +75,15 @@ def slid(mesh: str | Path, clip: str = "walk", seconds: float = 2.5) -> float:
     return start - height()
 
 
-@pytest.mark.parametrize("name", ["skirt", "trousers"])
-@pytest.mark.parametrize("clip", ["walk", "twirl"])
+@pytest.mark.parametrize(
+    ("name", "clip"),
+    [
+        ("skirt", "twirl"),
+        pytest.param("skirt", "walk", marks=pytest.mark.proof),
+        pytest.param("trousers", "walk", marks=pytest.mark.proof),
+        pytest.param("trousers", "twirl", marks=pytest.mark.proof),
+    ],
+)
 def test_a_waistband_holds_without_being_attached(name: str, clip: str) -> None:
     assert -0.005 < slid(f"builtin:{name}", clip) < 0.015
 

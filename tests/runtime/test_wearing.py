@@ -90,6 +90,7 @@ def test_a_game_loop_lets_go_of_a_vertex_that_went_with_its_garment() -> None:
     refuses("no such simulated vertex", player.drag, last, np.zeros(3))
 
 
+@pytest.mark.proof
 def test_creases_stay_in_what_stays_on() -> None:
     """A skirt with internal friction over trousers without it; what is put on again has creases of its own."""
     fabric = "fabric = { bend_hysteresis_warp = 1e-3, bend_hysteresis_weft = 1e-3 }"

@@ -50,6 +50,7 @@ def test_a_skirt_on_a_body_that_stands_is_outside_and_whole() -> None:
     assert 0.0 < found["frame_ms_p50"] <= found["frame_ms_p99"]
 
 
+@pytest.mark.proof
 def test_a_clip_comes_with_its_picture(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(CLIPS, "still", still)  # pyright: ignore[reportArgumentType]
     monkeypatch.setattr(Still, "duration", 0.7)

@@ -51,6 +51,7 @@ def test_a_broken_file_is_made_anew(seed: int, tmp_path: Path) -> None:
     assert np.array_equal(found.array, right.array) and found.number == right.number
 
 
+@pytest.mark.proof
 def test_a_precompute_goes_on_after_its_last_stage(
     learned: Precomputed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

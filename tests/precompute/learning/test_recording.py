@@ -188,6 +188,7 @@ def test_a_file_that_was_being_written_is_not_taken_for_a_chunk(tmp_path: Path, 
     assert len(steps) == 10 and len(recorded.frames) == 5
 
 
+@pytest.mark.proof
 def test_runs_in_two_processes_give_the_same_bits(tmp_path: Path) -> None:
     run = skirt_run()
     run = replace(run, poses=run.poses[:11])

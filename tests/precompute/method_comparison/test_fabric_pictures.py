@@ -4,6 +4,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from precompute.method_comparison.fabric_pictures import FABRICS, PICTURE, draw_fabrics, fabric_runs
 
@@ -13,6 +14,7 @@ def test_the_fabrics_hang_by_lengths_that_differ() -> None:
     assert len(lengths) == 3 and all(b > 1.3 * a for a, b in pairwise(lengths))
 
 
+@pytest.mark.proof
 def test_all_fabrics_wear_one_cut_and_motion_and_are_drawn(tmp_path: Path) -> None:
     runs = fabric_runs(subdivisions=1, seconds=0.1)
     assert [run.name for run in runs] == list(FABRICS)
