@@ -25,6 +25,7 @@ from precompute.learning.run_recording import Recording, Run, record_runs
 from precompute.workers import Workers
 from runtime.play.simulation import body_source, poses_of
 from runtime.setup.garment_setup import fine_substep_of
+from runtime.setup.opened_start import opened_fine
 from runtime.setup.playback_inputs import PlaybackInputs
 from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels
@@ -38,19 +39,12 @@ __all__ = [
     "database_run",
     "fine_run",
     "judged_from",
-    "levels_from",
     "settled",
     "truth_of",
     "truth_runs",
 ]
 
 SETTLE = 1.5  # the blend from the bind pose is not judged [s]
-
-
-def levels_from(database: WrinkleDatabase, body: Character | VertexSequence) -> Levels:
-    """Levels of a database's garment on its body."""
-    source = body_source(body)
-    return database.levels(source.vertices, source.faces)
 
 
 def fine_run(
@@ -100,14 +94,19 @@ def database_run(database: WrinkleDatabase, inputs: PlaybackInputs, motion: Moti
         inputs: body, wind and colliders.
         motion: of that body.
     """
+    source, substep = body_source(inputs.body), fine_substep_of(database)
+    levels = database.levels(source.vertices, source.faces)
+    if database.solver.self_collision:
+        solver = replace(database.solver, substep=substep)
+        levels = opened_fine(levels, database.fabric, solver, source.vertices, source.faces)
     return fine_run(
-        replace(levels_from(database, inputs.body), pattern=inputs.pattern),
+        replace(levels, pattern=inputs.pattern),
         inputs.body,
         motion,
         database,
         wind=inputs.wind,
         primitives=inputs.primitives,
-        substep=fine_substep_of(database),
+        substep=substep,
     )
 
 

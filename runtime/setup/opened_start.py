@@ -14,7 +14,7 @@ from pbd.opening import smoothed_apart
 from runtime.play.simulation import Simulation
 from wrinkles.levels import Levels
 
-__all__ = ["Opening", "opened"]
+__all__ = ["Opening", "opened", "opened_fine"]
 
 MAX_FRAMES = 30  # in which layers come apart
 FRAME = 1.0 / 60.0  # [s]
@@ -102,34 +102,56 @@ def opened(
         rebuilt: makes the levels of the same garments with other coarse vertices [m], shape (n, 3).
     """
     done, delivered = [], levels.fine.vertices
-    for name, solver in (("coarse", options), ("fine", fine_options)):
-        fine = name == "fine"
-        mesh, held = (levels.fine, levels.fine_held) if fine else (levels.coarse, levels.coarse_held)
-        crossings = SelfCrossings(mesh)
-        rows = crossings.find(mesh.vertices)
-        sheet = _coincident(mesh)
-        place = mesh.vertices[mesh.faces[sheet]].mean(axis=(0, 1)) if len(sheet) else None
-        if not len(rows):
-            if len(sheet):
-                done.append(Opening(name, 0, 0, len(mesh.faces), 0.0, None, len(sheet), place))
+    for fine, solver in ((False, options), (True, fine_options)):
+        free, opening = _opened_mesh(levels, fine, fabric, solver, _Still(body_vertices, body_faces))
+        if opening is not None:
+            done.append(opening)
+        if free is None:
             continue
-        before, start = len(crossings.faces_of(rows)), mesh.vertices
-        layer = None if levels.layers is None else (levels.fine_layer if fine else levels.layers.layer)
-        free = replace(mesh, vertices=smoothed_apart(mesh, held, layer, body_vertices, body_faces))
-        rows = crossings.find(free.vertices)
-        if layer is not None and len(rows):
-            free = _parted(levels, free, fabric, solver, fine, _Still(body_vertices, body_faces))
-            rows = crossings.find(free.vertices)
-        after = len(crossings.faces_of(rows))
-        if after >= before:
-            free, after = mesh, before
-        moved = float(np.linalg.norm(free.vertices - start, axis=1).max())
-        left = free.vertices[rows[:, 0]].mean(axis=0) if after else None
-        done.append(Opening(name, before, after, len(mesh.faces), moved, left, len(sheet), place))
         levels = replace(levels, fine=free) if fine else rebuilt(free.vertices)
         if not fine and levels.subdivision.binding is not None:  # its folds are its own
             levels = replace(levels, fine=replace(levels.fine, vertices=delivered))
     return levels, tuple(done)
+
+
+def opened_fine(
+    levels: Levels, fabric: Fabric, options: SolverOptions, body_vertices: np.ndarray, body_faces: np.ndarray
+) -> Levels:
+    """The levels with the fine mesh that :func:`opened` gives, where the coarse one is open already.
+
+    Args:
+        levels, fabric, body_vertices, body_faces: as for :func:`opened`.
+        options: of the solver of the fine garment.
+    """
+    free, _ = _opened_mesh(levels, True, fabric, options, _Still(body_vertices, body_faces))
+    return levels if free is None else replace(levels, fine=free)
+
+
+def _opened_mesh(
+    levels: Levels, fine: bool, fabric: Fabric, options: SolverOptions, body: _Still
+) -> tuple[ClothMesh | None, Opening | None]:
+    """A mesh opened, None where nothing crosses; and what was done, None where there was nothing to say."""
+    name = "fine" if fine else "coarse"
+    mesh, held = (levels.fine, levels.fine_held) if fine else (levels.coarse, levels.coarse_held)
+    crossings = SelfCrossings(mesh)
+    rows = crossings.find(mesh.vertices)
+    sheet = _coincident(mesh)
+    place = mesh.vertices[mesh.faces[sheet]].mean(axis=(0, 1)) if len(sheet) else None
+    if not len(rows):
+        return None, Opening(name, 0, 0, len(mesh.faces), 0.0, None, len(sheet), place) if len(sheet) else None
+    before = len(crossings.faces_of(rows))
+    layer = None if levels.layers is None else (levels.fine_layer if fine else levels.layers.layer)
+    free = replace(mesh, vertices=smoothed_apart(mesh, held, layer, body.vertices, body.faces))
+    rows = crossings.find(free.vertices)
+    if layer is not None and len(rows):
+        free = _parted(levels, free, fabric, options, fine, body)
+        rows = crossings.find(free.vertices)
+    after = len(crossings.faces_of(rows))
+    if after >= before:
+        free, after = mesh, before
+    moved = float(np.linalg.norm(free.vertices - mesh.vertices, axis=1).max())
+    left = free.vertices[rows[:, 0]].mean(axis=0) if after else None
+    return free, Opening(name, before, after, len(mesh.faces), moved, left, len(sheet), place)
 
 
 def _coincident(mesh: ClothMesh) -> np.ndarray:

@@ -22,11 +22,12 @@ from runtime.export.animation_baking import baked_frames, simulated_frames
 from runtime.export.free_run import play
 from runtime.play.player import Player
 from runtime.play.simulation import poses_of
+from runtime.setup.garment_setup import GarmentSetup
 from runtime.setup.playback_inputs import PlaybackInputs, playback_inputs
 from runtime.setup.scene_simulation import simulation_of
 from tests.processes import python
 from tests.refusals import refuses
-from tests.runtime.players import SCENE, skirt_database, skirt_stage
+from tests.runtime.players import OUTFIT, SCENE, random_database, skirt_database, skirt_stage
 from wrinkles.database import body_hash
 from wrinkles.database_file import read_database, write_database
 
@@ -140,13 +141,17 @@ def test_play_loads_nothing_that_only_learning_needs_and_prints_nothing_of_its_e
     assert printed.startswith("walk:\n") and "aichi" not in printed
 
 
-def test_truth_is_found_where_precompute_left_it(path: Path) -> None:
-    """Both must ask for the same run, or the fine cloth is simulated again."""
+@pytest.mark.parametrize("text", [SCENE, OUTFIT], ids=["skirt", "outfit"])
+def test_truth_is_found_where_precompute_left_it(text: str, tmp_path: Path) -> None:
+    """Both must ask for the same run, or the fine cloth is simulated again. The outfit's fine mesh starts crossed."""
     from precompute.learning.pipeline import scene_run
     from precompute.learning.truth import database_run
 
-    stage, database = skirt_stage(), read_database(path)
+    stage = GarmentSetup.of(parse_scene(text, "scene.toml"))
+    assert {opening.mesh for opening in stage.openings} == ({"coarse", "fine"} if text == OUTFIT else set())
+    write_database(tmp_path / "a.h5", random_database(stage))
     learned = scene_run(stage, stage.scene, stage.motion(stage.scene.training.held_out[0]))
+    database = read_database(tmp_path / "a.h5")
     inputs = playback_inputs(database)
     played = database_run(database, inputs, inputs.motions[0])
     assert played.key() == learned.key()
