@@ -85,7 +85,7 @@ def compare_frames(
     """
     rate = read_database(path).frame_rate
     turns = max(MIN_TURNS, round(seconds * rate / FRAMES))
-    if not (checkout / "runtime" / "play" / "player.py").is_file():
+    if not (checkout / "runtime").is_dir():
         raise InputError("no checkout", key="--against", received=str(checkout), expected="a folder with runtime/")
     report("both start")
     folders = (checkout.resolve(), HERE)
