@@ -20,6 +20,12 @@ __all__ = ["FrameComparison", "compare_frames"]
 HERE = Path(__file__).resolve().parents[2]
 FRAMES = 20  # of a turn
 MIN_TURNS = 2
+LAYOUTS = (
+    ("runtime.setup.playback_inputs", "runtime.play.player", "runtime.play.simulation"),
+    ("runtime.playback_inputs", "runtime.player", "runtime.simulation"),
+    ("runtime.play", "runtime.player", "runtime.simulation"),
+)
+"""Modules that the worker imports, as checkouts call them; it names those of the first row."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +91,7 @@ def compare_frames(
     """
     rate = read_database(path).frame_rate
     turns = max(MIN_TURNS, round(seconds * rate / FRAMES))
-    if not (checkout / "runtime").is_dir():
+    if _layout(checkout) is None:
         raise InputError("no checkout", key="--against", received=str(checkout), expected="a folder with runtime/")
     report("both start")
     folders = (checkout.resolve(), HERE)
@@ -107,8 +113,14 @@ def compare_frames(
     return FrameComparison(*({part: np.array([row[part] for row in own]) for part in common} for own in rows))
 
 
+def _layout(folder: Path) -> tuple[str, ...] | None:
+    return next((row for row in LAYOUTS if all((folder / f"{x.replace('.', '/')}.py").is_file() for x in row)), None)
+
+
 def _start(folder: Path, path: Path) -> subprocess.Popen[str]:
     program = Path(__file__).with_name("frame_worker.py").read_text(encoding="utf-8")
+    for new, old in zip(LAYOUTS[0], _layout(folder) or LAYOUTS[0], strict=True):
+        program = program.replace(f"from {new} import", f"from {old} import")
     arguments: Sequence[str] = [sys.executable, "-c", program, str(path.resolve())]
     environment = os.environ | {"PYTHONPATH": str(folder)}
     pipe = subprocess.PIPE

@@ -9,31 +9,25 @@ import json
 import os
 import sys
 import time
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from pbd.taichi_internals import Launch
+from runtime.play.player import Player
+from runtime.play.simulation import poses_of
+from runtime.setup.playback_inputs import open_database
 
 SKIPPED = 10  # frames that get going
-# Modules of `open_database`, `Player` and `poses_of`, in the newest checkouts first.
-LAYOUTS = (
-    ("runtime.setup.playback_inputs", "runtime.play.player", "runtime.play.simulation"),
-    ("runtime.playback_inputs", "runtime.player", "runtime.simulation"),
-    ("runtime.play", "runtime.player", "runtime.simulation"),
-)
 
 
 class _Playback:
     """The database on its own body and first held-out motion, which begins again where it ends."""
 
     def __init__(self, path: str) -> None:
-        here = [names for names in LAYOUTS if all(Path(f"{name.replace('.', '/')}.py").is_file() for name in names)]
-        inputs, player, simulation = map(import_module, here[0])
-        database, self._inputs = inputs.open_database(Path(path))
+        database, self._inputs = open_database(Path(path))
         self._dt = 1.0 / database.frame_rate
-        self._poses = simulation.poses_of(self._inputs.motions[0], self._dt)
-        self._player = player.Player(database, self._inputs.body, self._poses[0], self._inputs.primitives)
+        self._poses = poses_of(self._inputs.motions[0], self._dt)
+        self._player = Player(database, self._inputs.body, self._poses[0], self._inputs.primitives)
         self._number, self._in_kernels = 0, 0.0
         plain, playback = Launch.__call__, self
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pbd import InputError
-from precompute.benchmarks.frame_turns import FRAMES, FrameComparison, compare_frames
+from precompute.benchmarks.frame_turns import FRAMES, LAYOUTS, FrameComparison, compare_frames
 from runtime.cli.command import main
 from tests.data import ROOT
 from tests.runtime.players import skirt_database
@@ -53,7 +53,10 @@ def test_a_ratio_is_the_median_of_the_turns_ratios() -> None:
 def test_a_folder_that_plays_nothing_is_refused(path: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--against.*runtime/"):
         compare_frames(path, tmp_path, 0.5)
-    (tmp_path / "runtime").mkdir()
+    for name in LAYOUTS[-1]:
+        module = tmp_path / f"{name.replace('.', '/')}.py"
+        module.parent.mkdir(exist_ok=True)
+        module.write_text("")
     with pytest.raises(InputError, match="does not play the database"):
         compare_frames(path, tmp_path, 0.5)
 
