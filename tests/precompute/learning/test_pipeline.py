@@ -15,8 +15,9 @@ from precompute.learning import pipeline
 from precompute.learning.options import LearningOptions
 from precompute.learning.pipeline import STAGES, Precomputed, default_cache, precompute, scene_run, training_recordings
 from precompute.learning.run_recording import Recording, Run
-from precompute.learning.truth import judged_from, levels_from, settled
+from precompute.learning.truth import judged_from, settled
 from runtime.play.player import Player
+from runtime.play.simulation import body_source
 from runtime.setup.garment_setup import GarmentSetup, scene_of
 from tests.precompute.miniature import OPTIONS, SCENE, same, same_learned, scene
 from wrinkles.database_file import read_database
@@ -38,7 +39,8 @@ def test_what_is_written_is_what_was_made(learned: Precomputed, reports: list[st
     texture = load_garment("builtin:skirt").texture
     assert texture is not None and np.array_equal(database.texture, texture.astype(np.float32))
     # The garment is on the body as the scene has it.
-    stage, levels = GarmentSetup.of(scene_of(database)), levels_from(database, GarmentSetup.of(scene()).body)
+    stage, body = GarmentSetup.of(scene_of(database)), body_source(GarmentSetup.of(scene()).body)
+    levels = database.levels(body.vertices, body.faces)
     assert np.array_equal(levels.fine.vertices, stage.levels.fine.vertices)
     assert np.array_equal(levels.coarse_held, stage.levels.coarse_held)
     begun = [f"stage {number} of {len(STAGES)}: {name}" for number, name in enumerate(STAGES, start=1)]

@@ -14,7 +14,7 @@ import pytest
 from pbd import InputError, SolverOptions
 from precompute.learning.evaluation import play_freely
 from precompute.learning.run_recording import Run
-from precompute.learning.truth import SETTLE, Truth, fine_run, levels_from, truth_of
+from precompute.learning.truth import SETTLE, Truth, fine_run, truth_of
 from precompute.scratch import Tally
 from precompute.wrinkle_comparison import compare_database as comparing
 from precompute.wrinkle_comparison import wrinkle_comparison
@@ -71,7 +71,8 @@ def database() -> WrinkleDatabase:
 @pytest.fixture(scope="module")
 def truth(database: WrinkleDatabase, tmp_path_factory: pytest.TempPathFactory) -> Truth:
     stage = skirt_stage()
-    levels = levels_from(database, stage.body)
+    source = body_source(stage.body)
+    levels = database.levels(source.vertices, source.faces)
     run = fine_run(levels, stage.body, stage.motion(), database, substep=1.0 / 480.0)
     return truth_of(replace(run, poses=run.poses[:84]), tmp_path_factory.mktemp("cache"), 1, count=RUNS)
 
