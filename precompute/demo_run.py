@@ -17,7 +17,7 @@ import assets
 from assets.character import Character
 from assets.io.scene import Scene, load_scene
 from assets.io.sequence import Sequence as VertexSequence
-from precompute.demo_page import duration, newcomer_sections, words_of
+from precompute.demo_page import duration, newcomer_sections
 from precompute.learning.evaluation import Evaluation
 from precompute.learning.options import LearningOptions
 from precompute.learning.pipeline import STAGES as LEARNING_STAGES
@@ -33,7 +33,7 @@ from runtime.draw.shown_body import shown_body
 from runtime.export.animation_files import bake_glb
 from runtime.export.free_run import posed_bodies
 from runtime.export.glb import BYTES_A_VERTEX
-from runtime.output.database_info import better_choice
+from runtime.output.verdict import verdict
 from runtime.setup.garment_setup import GarmentSetup
 from wrinkles.metrics import normal_error_deg
 
@@ -106,7 +106,7 @@ class DemoResult:
 
     Attributes:
         figures: by name.
-        words: three of them in sentences: how near to the truth, how fast, how many vertices.
+        words: what was made, how good it is and what it costs, in sentences.
         page, picture, first_picture, animation, database: files.
     """
 
@@ -197,20 +197,17 @@ def run_demo(
     with pool:
         with clock.stage("comparing"):
             comparison = compare(learned.database, [truth], brief=demo.brief, workers=pool, report=clock)
-            write_choice(database_path, learned.database, comparison)
+            database = write_choice(database_path, learned.database, comparison)
         with clock.stage("drawing"):
             body = shown_body(truth.run.body, truth.levels)
             picture = draw_moments(truth, evaluation, demo.moments, body.faces)
             save_png(picture_file, picture)
             _bake(animation, truth, evaluation, body, learned.database.fine_texture)
-    figures = evaluation.figures
-    better = better_choice(comparison.choice)
-    frame_ms, spent = comparison.frame_ms(), time.monotonic() - began
-    sections = newcomer_sections(learned, frame_ms, picture, spent, better)
+    sections = newcomer_sections(learned, database, picture, time.monotonic() - began)
     write_page(output / "index.html", "A skirt with learned folds", [*sections, *comparison_sections(comparison)])
     return DemoResult(
-        figures,
-        words_of(figures, frame_ms),
+        evaluation.figures,
+        verdict(database),
         output / "index.html",
         picture_file,
         first_picture,

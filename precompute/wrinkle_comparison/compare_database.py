@@ -407,15 +407,17 @@ def check_length(motion: Motion, dt: float, seconds: float | None) -> None:
         raise InputError("too short to compare on", key="--seconds", received=seconds, expected=expected)
 
 
-def write_choice(path: Path, database: WrinkleDatabase, comparison: Comparison) -> None:
-    """Write into a database whether plain cloth is the better choice, for `gube info`.
+def write_choice(path: Path, database: WrinkleDatabase, comparison: Comparison) -> WrinkleDatabase:
+    """Write into a database whether plain cloth is the better choice, for `gube info`, and return it.
 
     Args:
         path: the database's file.
         database: what it holds.
         comparison: on its held-out motions.
     """
-    write_database(path, replace(database, quality={**database.quality, **comparison.choice}))
+    written = replace(database, quality={**database.quality, **comparison.choice})
+    write_database(path, written)
+    return written
 
 
 def database_of(path: Path, output: Path, report: Callable[[str], None] | None) -> Path:

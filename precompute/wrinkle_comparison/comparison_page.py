@@ -59,16 +59,16 @@ def verdict(comparison: Comparison) -> str:
     """The cost advantage, the figures of all methods and where realism is lost, in text."""
     paragraphs, found = [], comparison.cost_advantage
     if found is not None:
+        times = f"takes {found.frame_ms:.2f} ms, ours {comparison.frame_ms():.2f} ms"
         if found.at_least:
-            why = "ours pays. Of plain cloths none that was tried is as good by all errors at once; the dearest is"
+            why = (
+                f"Ours pays: of plain cloths none that was tried is as good by all errors at once; the dearest {times}"
+            )
         elif found.ratio < 1.0:
-            why = "plain cloth is the better choice. The cheapest that is as good by all errors at once is"
+            why = f"Plain cloth is the better choice: the cheapest that is as good by all errors at once {times}"
         else:
-            why = "ours pays. The cheapest plain cloth that is as good by all errors at once is"
-        paragraphs.append(
-            f"Cost advantage {found}: {why} {_called(found.cloth)}, {found.frame_ms:.2f} ms; "
-            f"ours takes {comparison.frame_ms():.2f} ms."
-        )
+            why = f"Ours pays: the cheapest plain cloth that is as good by all errors at once {times}"
+        paragraphs.append(f"{why} ({_called(found.cloth)}; cost advantage {found}).")
     for motion in comparison.motions:
         paragraphs += _motion_words(motion, None if found is None else found.cloth.prefix)
     return "\n\n".join(paragraphs)

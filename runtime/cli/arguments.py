@@ -10,6 +10,7 @@ import math
 from pathlib import Path
 
 __all__ = [
+    "add_all",
     "add_database",
     "add_motion",
     "add_output_file",
@@ -27,6 +28,13 @@ __all__ = [
 def add_database(parser: argparse.ArgumentParser) -> None:
     """Add the argument ``database``, the path of a wrinkle database."""
     parser.add_argument("database", type=Path, metavar="DB.h5", help="a wrinkle database")
+
+
+def add_all(parser: argparse.ArgumentParser) -> None:
+    """Add the option ``--all`` of a command that prints the figures that matter most."""
+    parser.add_argument(
+        "--all", action="store_true", help="print every figure, in the words of the glossary (default: off, a few)"
+    )
 
 
 def add_output_file(parser: argparse.ArgumentParser, metavar: str, content: str, default: str | None = None) -> None:

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from pbd.errors import InputError
-from runtime.output.database_info import better_choice
 from runtime.output.figures import FIRST, figure_of, figure_table, value_texts
+from runtime.output.verdict import verdict
 from wrinkles.database import WrinkleDatabase
 
 __all__ = ["check_page_folder", "page_text", "write_page"]
@@ -111,11 +111,16 @@ def page_text(database: WrinkleDatabase, motion: str) -> dict[str, Any]:
         ("dictionary", f"{len(database.atoms.shapes)} wrinkle shapes for the patch around each coarse vertex"),
         ("learned from", ", ".join(database.trained_on) or "nothing"),
         ("held out", ", ".join(database.held_out) or "nothing"),
-        ("better choice", better_choice(database.quality)),
         ("made", f"{database.created} by gube {database.code_version}"),
     ]
     figures = _figure_tables(database.quality)
-    return {"garment": database.garment_name, "motion": motion, "facts": facts, "figures": figures}
+    return {
+        "garment": database.garment_name,
+        "motion": motion,
+        "verdict": verdict(database),
+        "facts": facts,
+        "figures": figures,
+    }
 
 
 def _figure_tables(quality: Mapping[str, float]) -> dict[str, Any]:

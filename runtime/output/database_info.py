@@ -11,6 +11,7 @@ import numpy as np
 from pbd import InputError, State
 from pbd.geometry import FAR
 from runtime.output.figures import figure_lines
+from runtime.output.verdict import first_lines, verdict
 from wrinkles.charts import Charts
 from wrinkles.database import WrinkleDatabase, code_version
 from wrinkles.database_file import database_figures, read_database
@@ -21,24 +22,31 @@ from wrinkles.levels import MAX_AREA_CORRECTION, build_garments, with_area_of
 from wrinkles.patches import Patches
 from wrinkles.schema import ENTRIES
 
-__all__ = ["DatabaseCheck", "better_choice", "check_database", "info_text"]
+__all__ = ["DatabaseCheck", "check_database", "info_text"]
 
 
-def info_text(path: str | Path) -> tuple[str, dict[str, float]]:
-    """Content of a database, and its quality on motion from which it has not learned.
+def info_text(path: str | Path, *, everything: bool = False) -> tuple[str, dict[str, float]]:
+    """What a database is, how good it is on motion from which it has not learned, and what it costs.
 
     Args:
         path: the database.
+        everything: give all that the database holds after the verdict, in place of the first few rows.
 
     Returns:
-        lines to print, and figures by name: those in the lines and some more.
+        lines to print, and figures by name: all that are known.
 
     Raises:
         InputError: not a database, or a damaged one.
     """
     database = read_database(path)
     figures = _figures(database) | database_figures(path) | dict(database.quality)
-    lines = [f"{path}: wrinkles of '{database.garment_name}', made {database.created} by gube {database.code_version}"]
+    lines = [*verdict(database), ""]
+    if not everything:
+        lines += [f"  {label:<36}{text}" for label, text in _origin_rows(database)]
+        return "\n".join([*lines, *first_lines(database.quality)]) + "\n", figures
+    lines.append(
+        f"{path}: wrinkles of '{database.garment_name}', made {database.created} by gube {database.code_version}"
+    )
     if database.code_version != code_version():
         lines.append(f"  this is gube {code_version()}: its results may differ from the figures below")
     for title, rows in _sections(database, figures):
@@ -46,6 +54,15 @@ def info_text(path: str | Path) -> tuple[str, dict[str, float]]:
         lines += ["", title] + [f"  {label:<{width}}{value}" for label, value in rows]
     lines += ["", *_quality_lines(database)]
     return "\n".join(lines) + "\n", figures
+
+
+def _origin_rows(database: WrinkleDatabase) -> list[tuple[str, str]]:
+    made = f"{database.created} by gube {database.code_version}, on {database.machine}"
+    return [
+        ("learned from", ", ".join(database.trained_on) or "nothing"),
+        ("judged on", ", ".join(database.held_out) or "nothing"),
+        ("made and timed", made if database.code_version == code_version() else f"{made} (this is {code_version()})"),
+    ]
 
 
 def _figures(database: WrinkleDatabase) -> dict[str, float]:
@@ -89,7 +106,6 @@ def _sections(database: WrinkleDatabase, figures: Mapping[str, float]) -> Iterat
         ("took", f"{database.training_minutes:.1f} min on {database.machine}, seed {database.seed}"),
     ]
     yield "Training", training
-    yield "Plain cloth", [("better choice", better_choice(database.quality))]
     file = [
         ("size", f"{figures['database_mb']:.2f} MB, of which meshes {figures['mesh_mb']:.2f}"),
         ("beyond meshes", f"{figures['bytes_per_fine_vertex']:.1f} bytes a fine vertex"),
@@ -129,24 +145,6 @@ def _dictionary_rows(database: WrinkleDatabase, figures: Mapping[str, float]) ->
         ("regions", f"{figures['region_count']}, each with a second and third layer of its own"),
         ("cut-off", f"{database.cutoff:.4g} m: the dictionary makes the shorter folds"),
     ]
-
-
-def better_choice(quality: Mapping[str, float]) -> str:
-    """Whether plain cloth is the better choice by the figures that a comparison left in a database."""
-    ratio = quality.get("cost_advantage")
-    if ratio is None:
-        return "unknown: `gube compare` with this database finds out"
-    rest = ", at rest" if quality["plain_passes"] else ""
-    cloth = (
-        f"{quality['plain_vertex_count']:.0f} vertices, {quality['plain_substeps']:.0f} substeps{rest}, "
-        f"{quality['plain_frame_ms']:.2f} ms a frame"
-    )
-    ours = f"the wrinkles, {quality['plain_frame_ms'] / ratio:.2f} ms a frame"
-    if quality["cost_advantage_is_at_least"]:
-        return f"{ours}; no plain cloth that was tried is as good, the dearest of {cloth}"
-    if ratio < 1.0:
-        return f"plain cloth of {cloth}; {ours}, are no better"
-    return f"{ours}; plain cloth that is as good takes {cloth}"
 
 
 def _other_fabric(name: str, quality: Mapping[str, float]) -> str:

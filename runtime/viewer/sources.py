@@ -12,7 +12,7 @@ from assets.io.sequence import Sequence
 from assets.motion import Motion
 from pbd.wind import Wind
 from runtime.draw.shown_body import shown_body
-from runtime.output.database_info import better_choice
+from runtime.output.verdict import verdict
 from runtime.play.plain_cloth import plain_choice
 from runtime.play.plain_surface import SmoothGarment
 from runtime.play.player import Player, player_of
@@ -91,15 +91,14 @@ class DatabaseSource:
 
     @property
     def notice(self) -> str:
-        """What is played by itself, in a sentence."""
-        if self.prefers_plain_cloth:
-            return f"Plays {better_choice(self.database.quality)}. 'play the wrinkles' plays what was learned."
-        return self.wrinkles_notice
+        """What this is, how good it is, what it costs, and so what is played by itself."""
+        more = ("'play the wrinkles' plays the learned folds.",) if self.prefers_plain_cloth else ()
+        return " ".join((*verdict(self.database), *more))
 
     @property
     def wrinkles_notice(self) -> str:
-        """What is played where the wrinkles are asked for, in a sentence."""
-        return f"Plays the wrinkles. Better choice: {better_choice(self.database.quality)}."
+        """The same where the wrinkles are asked for."""
+        return " ".join((*verdict(self.database), "The learned folds are played."))
 
     @property
     def wearable(self) -> bool:

@@ -53,7 +53,7 @@ def row(text: str, name: str) -> str:
 
 def test_the_text_says_what_the_database_holds(write: Callable[..., Path]) -> None:
     path = write()
-    text, figures = info_text(path)
+    text, figures = info_text(path, everything=True)
     for words in (
         f"{path}: wrinkles of 'curtain č', made 2025-01-31 by gube 0.1.0+0123456789ab",
         "81 vertices, 128 faces, 9 vertices attached",
@@ -75,7 +75,7 @@ def test_the_text_says_what_the_database_holds(write: Callable[..., Path]) -> No
 
 
 def test_held_out_figures_stand_beside_their_rivals_with_words(write: Callable[..., Path]) -> None:
-    text, figures = info_text(write(quality=QUALITY))
+    text, figures = info_text(write(quality=QUALITY), everything=True)
     header = next(line for line in text.splitlines() if "ours" in line)
     assert re.split(r"\s{2,}", header.strip()) == ["ours", "smooth", "floor", "truth"]
     assert row(text, "normal_error_deg").split()[1:5] == ["5.51", "11.23", "-", "-"]
@@ -89,7 +89,7 @@ def test_held_out_figures_stand_beside_their_rivals_with_words(write: Callable[.
 def test_other_fabrics_are_said_and_checked(write: Callable[..., Path]) -> None:
     quality = QUALITY | {"denim_normal_error_deg": 6.25, "denim_normal_skill": 0.44}
     path = write(other_fabrics={"denim": Fabric(areal_density=0.4)}, quality=quality)
-    text, figures = info_text(path)
+    text, figures = info_text(path, everything=True)
     assert row(text, "name").split() == ["name", "muslin"]
     words = "held out: normal error 6.25 deg, skill 0.440"
     assert row(text, "denim").split(maxsplit=1) == ["denim", words]
@@ -98,13 +98,14 @@ def test_other_fabrics_are_said_and_checked(write: Callable[..., Path]) -> None:
 
 
 def test_nothing_held_out_is_said(write: Callable[..., Path]) -> None:
-    text, _ = info_text(write(quality={}, held_out=()))
+    text, _ = info_text(write(quality={}, held_out=()), everything=True)
     assert "unknown, nothing was held out" in text
 
 
 def test_a_database_of_other_code_says_so(write: Callable[..., Path]) -> None:
-    assert "its results may differ" in info_text(write())[0]
-    assert "its results may differ" not in info_text(write(code_version=code_version()))[0]
+    assert "its results may differ" in info_text(write(), everything=True)[0]
+    assert "its results may differ" not in info_text(write(code_version=code_version()), everything=True)[0]
+    assert f"(this is {code_version()})" in info_text(write())[0]
 
 
 def test_a_delivered_mesh_may_have_another_area_than_its_coarse_one(
@@ -183,7 +184,7 @@ def test_gube_info_prints_and_keeps_every_figure(
     write: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "info.json"
-    assert command.main(["info", str(write(quality=QUALITY)), "--json", str(out)]) == 0
+    assert command.main(["info", str(write(quality=QUALITY)), "--all", "--json", str(out)]) == 0
     figures = json.loads(out.read_text(encoding="utf-8"))["figures"]
     printed = capsys.readouterr().out
     body = printed[printed.index("Garment") :].replace("hash a1a1a1a1a1a1", "")

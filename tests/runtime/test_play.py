@@ -107,7 +107,7 @@ def test_play_writes_pictures_and_figures(
         "runtime.export.free_run.draw_strips_apart", lambda *given: drawn.append(given) or draw_strips_apart(*given)
     )
     pictures, out = tmp_path / "pictures", tmp_path / "play.json"
-    assert command.main(["play", str(path), "--seconds", "0.4", "-o", str(pictures), "--json", str(out)]) == 0
+    assert command.main(["play", str(path), "--seconds", "0.4", "-o", str(pictures), "--json", str(out), "--all"]) == 0
     assert sorted(file.name for file in pictures.iterdir()) == ["walk_0010.png", "walk_0020.png"]
     assert np.array_equal(drawn[0][7], skirt_stage().body.faces)
     figures = json.loads(out.read_text(encoding="utf-8"))["figures"]
@@ -138,7 +138,8 @@ def test_play_loads_nothing_that_only_learning_needs_and_prints_nothing_of_its_e
         "sys.exit(f'loaded {loaded}' if loaded else status)\n"
     )
     printed = python(script, "play", str(path), "--seconds", "0.2", "-o", str(tmp_path))
-    assert printed.startswith("walk:\n") and "aichi" not in printed
+    assert printed.startswith("skirt (muslin) moves in real time") and "\nwalk:\n" in printed and "aichi" not in printed
+    assert len(printed.splitlines()) <= 3 + 2 + 12 + 1  # sentences, the motion's name, rows, where pictures are
 
 
 @pytest.mark.parametrize("text", [SCENE, OUTFIT], ids=["skirt", "outfit"])

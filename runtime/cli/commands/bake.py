@@ -33,10 +33,10 @@ def run(options: argparse.Namespace) -> Report:
     """Play the first motion that is asked for and write it."""
     from runtime.draw.shown_body import shown_body
     from runtime.export.animation_baking import baked_frames, check_baked, write_baked
-    from runtime.output.database_info import better_choice
     from runtime.output.outputs import check_is_no_source
     from runtime.output.report import Progress, Report
     from runtime.output.terminal import say
+    from runtime.output.verdict import cost_sentence
     from runtime.setup.garment_setup import scene_of
     from runtime.setup.playback_inputs import open_database
     from wrinkles.levels import garment_vertices
@@ -69,6 +69,6 @@ def run(options: argparse.Namespace) -> Report:
             texture=texture,
         )
     if player.cloth is not None:
-        say(f"plays {better_choice(database.quality)} (--wrinkles plays the wrinkles)")
+        say(f"{cost_sentence(database.quality)} --wrinkles plays the learned folds.")
     say(f"{motion.name}: {len(frames)} frames of {frames.shape[1]} vertices baked to {options.output}")
     return Report({"frame_count": len(frames), "fine_vertex_count": frames.shape[1]})

@@ -52,10 +52,10 @@ def export_page(options: argparse.Namespace, find_truth: FindTruth | None = None
 
     from runtime.export.page import check_page_folder, page_text, write_page
     from runtime.export.recording import record
-    from runtime.output.database_info import better_choice
     from runtime.output.outputs import check_folder
     from runtime.output.report import Progress, Report
     from runtime.output.terminal import say
+    from runtime.output.verdict import cost_sentence
     from runtime.play.plain_cloth import plain_choice
     from runtime.setup.playback_inputs import open_database
 
@@ -66,7 +66,7 @@ def export_page(options: argparse.Namespace, find_truth: FindTruth | None = None
     )
     motion = inputs.motions[0]
     if plain_choice(database) is not None:
-        say(f"the page shows the wrinkles; the better choice is {better_choice(database.quality)}")
+        say(f"{cost_sentence(database.quality)} The page shows the learned folds.")
     about = page_text(database, motion.name)
     with Progress(sys.stderr) as progress:
         truth = None if find_truth is None else find_truth(database, inputs, motion, progress)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from runtime.cli.arguments import add_database
+from runtime.cli.arguments import add_all, add_database
 
 if TYPE_CHECKING:
     from runtime.output.report import Report
@@ -18,6 +18,7 @@ SUMMARY = "print the content of a wrinkle database and its measured quality"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     add_database(parser)
+    add_all(parser)
 
 
 def run(options: argparse.Namespace) -> Report:
@@ -26,6 +27,6 @@ def run(options: argparse.Namespace) -> Report:
     from runtime.output.report import Report
     from runtime.output.terminal import say
 
-    text, figures = info_text(options.database)
+    text, figures = info_text(options.database, everything=options.all)
     say(text.removesuffix("\n"))
     return Report(figures)

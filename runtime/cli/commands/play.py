@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from runtime.cli.arguments import add_output_folder, add_playback, positive
+from runtime.cli.arguments import add_all, add_output_folder, add_playback, positive
 
 if TYPE_CHECKING:
     from assets.motion import Motion
@@ -24,6 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     add_playback(parser)
     add_output_folder(parser, "out/play", "a folder for pictures")
+    add_all(parser)
     mode = parser.add_mutually_exclusive_group()
     mode.add_argument(
         "--truth",
@@ -67,11 +68,11 @@ def play_motions(
         figures_of: plays one motion of the cast and returns its figures.
     """
     from assets.extras import require_extra
-    from runtime.output.database_info import better_choice
     from runtime.output.figures import figure_lines
     from runtime.output.outputs import check_folder
     from runtime.output.report import Report, numbers_of, process_age
     from runtime.output.terminal import say
+    from runtime.output.verdict import first_lines, verdict
     from runtime.play.plain_cloth import plain_choice
     from runtime.setup.playback_inputs import open_database
 
@@ -86,9 +87,12 @@ def play_motions(
         fabric=options.fabric,
         wrinkles=options.wrinkles,
     )
-    plain = not options.truth and not inputs.wrinkles and plain_choice(database) is not None
-    if plain:
-        say(f"plays {better_choice(database.quality)} (--wrinkles plays the wrinkles)")
+    is_better = plain_choice(database) is not None
+    plain = is_better and not options.truth and not inputs.wrinkles
+    lines = [*verdict(database)]
+    if is_better:
+        lines.append("--wrinkles plays the learned folds." if plain else "Here the learned folds are played.")
+    lines_of = figure_lines if options.all else first_lines
     rows: list[dict[str, float | str]] = []
     for motion in inputs.motions:
         rows.append(
@@ -99,8 +103,9 @@ def play_motions(
                 **figures_of(database, inputs, motion),
             }
         )
-        say("\n".join([f"{motion.name}:", *figure_lines(numbers_of(rows[-1]))]))
-        if "state_hash" in rows[-1]:
+        say("\n".join([*lines, "", f"{motion.name}:", *lines_of(numbers_of(rows[-1]))]))
+        lines = []
+        if options.all and "state_hash" in rows[-1]:
             say(f"  state_hash {rows[-1]['state_hash']}")
     if options.loop is None:
         say(f"pictures: {options.output}")

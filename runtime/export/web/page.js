@@ -300,6 +300,11 @@
   function describe() {
     document.title = `${about.garment}: ${about.motion}`;
     element("title").textContent = `${about.garment}, ${about.motion}`;
+    element("verdict").append(...about.verdict.map((sentence) => {
+      const paragraph = document.createElement("p");
+      paragraph.textContent = sentence;
+      return paragraph;
+    }));
     element("facts").append(...about.facts.map(([name, value]) => row([[name, ""], [value, ""]])));
     const { columns, first, rest } = about.figures;
     const numbers = (texts) => texts.map((text) => [text, "number"]);

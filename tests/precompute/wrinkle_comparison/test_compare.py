@@ -32,7 +32,8 @@ from precompute.wrinkle_comparison.comparison import ERRORS, Comparison, Method,
 from precompute.wrinkle_comparison.comparison_page import verdict, write_comparison
 from precompute.wrinkle_comparison.realism import FEWEST_FRAMES
 from runtime.cli import command
-from runtime.output.database_info import better_choice, info_text
+from runtime.output.database_info import info_text
+from runtime.output.verdict import cost_sentence
 from runtime.play.plain_cloth import PlainCloth, middle_levels
 from runtime.play.player import Player
 from runtime.play.simulation import Simulation, body_source, poses_of
@@ -207,17 +208,17 @@ def test_what_may_be_as_good_is_run_again_the_cheapest_first(
 
 def test_a_database_says_which_is_the_better_choice(tmp_path: Path, database: WrinkleDatabase, truth: Truth) -> None:
     path = tmp_path / "curtain.h5"
-    assert better_choice(database.quality).startswith("unknown")
+    assert "finds out whether cloth without learned folds would do" in cost_sentence(database.quality)
     for cloths, words in (
-        ([(1.0, 0.29), (20.0, 0.2)], "plain cloth of 9 vertices, 3 substeps, 1.00 ms a frame; the wrinkles, 4.00 ms"),
-        ([(8.0, 0.3)], "the wrinkles, 4.00 ms a frame; plain cloth that is as good takes 9 vertices"),
-        ([(8.0, 0.4)], "the wrinkles, 4.00 ms a frame; no plain cloth that was tried is as good"),
+        ([(1.0, 0.29), (20.0, 0.2)], "(9 points in 3 steps) is as good and takes 1.0 ms: that cloth is played instead"),
+        ([(8.0, 0.3)], "that is as good (9 points in 3 steps) takes 8.0 ms: the learned folds are played"),
+        ([(8.0, 0.4)], "none is as good, the dearest (9 points in 3 steps) with 8.0 ms: the learned folds are played"),
     ):
-        write_choice(path, database, rigged(truth, 0.3, *cloths))
-        written = read_database(path)
-        assert better_choice(written.quality).startswith(words)
-        assert database.quality.items() <= written.quality.items()
-        assert words in info_text(path)[0]
+        written = write_choice(path, database, rigged(truth, 0.3, *cloths))
+        sentence = cost_sentence(written.quality)
+        assert sentence.startswith("A picture takes 4.0 ms of one processor core") and words in sentence
+        assert read_database(path).quality == written.quality and database.quality.items() <= written.quality.items()
+        assert sentence in info_text(path)[0]
 
 
 @pytest.mark.parametrize(("cuts", "passes"), [(0, 0), (1, 0), (2, 0), (0, 2), (1, 1)])
@@ -329,7 +330,7 @@ def test_the_page_has_front_places_and_pictures(comparison: Comparison, tmp_path
     write_comparison(tmp_path / "compare.html", comparison)
     page = (tmp_path / "compare.html").read_text(encoding="utf-8")
     assert page.count('<svg class="plot"') == len(ERRORS) - 1  # spread is known of few methods
-    assert "Cost advantage" in page and "Realism by place" in page and "data:image/jpeg" in page
+    assert "cost advantage" in page and "Realism by place" in page and "data:image/jpeg" in page
 
 
 def test_blind_pairs_hide_the_names_and_answers_are_counted(
