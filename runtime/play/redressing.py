@@ -30,7 +30,8 @@ class Redressing:
 
     Wind or a pull may hook cloth through a limb. Contact, which knows the nearest surface only, then holds it there for
     ever. The garment is then moved, without contact, to where the body carries it from the bind pose. Cloth that limbs
-    pinch has long edges in the body, too, but not for so long.
+    pinch has long edges in the body, too, but mostly not for so long. It is left alone where the body would carry it
+    with more long edges, as below an arm that hangs down and was spread in the bind pose.
 
     Args:
         model: the garment, in the body's bind pose.
@@ -68,11 +69,10 @@ class Redressing:
         """
         if dt <= 0.0 or (self._left <= 0.0 and not self._hooked(state, body, dt)):
             return False
-        if self._carrier is None:
-            self._carrier = Attachment.bind(*self._bind)
-        carried = self._carrier.targets(body.current)
+        carried = self._carried(body)
         before = state.position[:, :3].copy()
         if self._left <= 0.0:
+            self._since[:] = 0.0
             self._left, self._offsets = DURATION, before - carried
             self.count += 1
             self._pauses = MAX_PAUSES
@@ -93,13 +93,13 @@ class Redressing:
         return True
 
     def _hooked(self, state: State, body: Body, dt: float) -> bool:
-        """Whether an edge has been too long for too long, while nothing pulled at the garment."""
+        """Whether an edge was too long for too long, while nothing pulled, and the body would carry fewer long ones."""
         self._find_longer(state.position, self._edges, self._long, self._found)
         if not self._found[0]:
             self._since[:] = 0.0
             return False
         x = state.position[:, :3]
-        stretch = np.linalg.norm(x[self._edges[:, 0]] - x[self._edges[:, 1]], axis=1) / self._lengths
+        stretch = self._stretch(x)
         pulled = bool((state.position[self._free, 3] == 0.0).any())
         found = np.zeros(self._since.shape, bool)
         found[0] = stretch > TOO_LONG
@@ -112,7 +112,19 @@ class Redressing:
             found[2, rows] = middle < -DEEP
         self._since += dt
         self._since[pulled | ~found] = 0.0
-        hooked = bool((self._since > PATIENCE).any())
-        if hooked:
-            self._since[:] = 0.0
-        return hooked
+        late = (self._since > PATIENCE).any(axis=0)
+        if not late.any():
+            return False
+        self._since[:, late] = 0.0
+        carried = self._stretch(self._carried(body))
+        return int((carried > LONG).sum()) < len(rows)
+
+    def _stretch(self, x: np.ndarray) -> np.ndarray:
+        """Length of each edge over its rest length [-]."""
+        return np.linalg.norm(x[self._edges[:, 0]] - x[self._edges[:, 1]], axis=1) / self._lengths
+
+    def _carried(self, body: Body) -> np.ndarray:
+        """The vertices where the body carries them from its bind pose, shape (n, 3)."""
+        if self._carrier is None:
+            self._carrier = Attachment.bind(*self._bind)
+        return self._carrier.targets(body.current)

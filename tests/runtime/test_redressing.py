@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import trimesh
 
 from assets.io.scene import parse_scene
 from assets.motion import Motion
+from pbd import Body, ClothMesh, Fabric, State, build_model
 from pbd.crossings import SelfCrossings
 from pbd.distance import BodyDistance
+from runtime.play.redressing import Redressing
 from runtime.play.simulation import Simulation
 from runtime.setup.scene_simulation import simulation_of
 
@@ -96,6 +101,22 @@ def test_a_garment_is_carried_on_where_the_pose_has_no_room_for_it(monkeypatch: 
     stand(simulation, pose, 0.5)
     assert longest(simulation) < 1.2
     assert len(SelfCrossings(simulation.model.mesh).find(simulation.vertices)) == 0
+
+
+def test_a_garment_stays_where_the_body_would_carry_it_worse() -> None:
+    """An arm that was spread in the bind pose and hangs down pinches what is below it; putting it back tears it."""
+    sphere = trimesh.creation.icosphere(subdivisions=2, radius=0.1)
+    vertices = np.asarray(sphere.vertices)
+    mesh = ClothMesh.grid(0.05, 0.05, columns=5, rows=5)
+    mesh = replace(mesh, vertices=mesh.vertices + [0.0, 0.2, 0.0])
+    model = build_model(mesh, Fabric())
+    for size, is_put_back in ((1.0, True), (3.0, False)):  # where it is larger, every edge is longer
+        put_back, state = Redressing(model, vertices, sphere.faces), State.at_rest(model)
+        body = Body(sphere.faces, len(vertices))
+        body.place(size * vertices)
+        state.position[0, 1] += 1.0
+        stepped = [put_back.step(state, body, 1.0 / RATE) for _ in range(RATE)]
+        assert any(stepped) == is_put_back
 
 
 @pytest.mark.proof
