@@ -30,8 +30,8 @@ class Redressing:
 
     Wind or a pull may hook cloth through a limb. Contact, which knows the nearest surface only, then holds it there for
     ever. The garment is then moved, without contact, to where the body carries it from the bind pose. Cloth that limbs
-    pinch has long edges in the body, too, but mostly not for so long. It is left alone where the body would carry it
-    with more long edges, as below an arm that hangs down and was spread in the bind pose.
+    pinch has long edges in the body, too, but mostly not for so long. It is left alone where the body would carry more
+    edges deep into itself than are long, as below an arm that hangs down and was spread in the bind pose.
 
     Args:
         model: the garment, in the body's bind pose.
@@ -93,13 +93,13 @@ class Redressing:
         return True
 
     def _hooked(self, state: State, body: Body, dt: float) -> bool:
-        """Whether an edge was too long for too long, while nothing pulled, and the body would carry fewer long ones."""
+        """Whether an edge was too long for too long, nothing pulled, and the body has room for what it carries."""
         self._find_longer(state.position, self._edges, self._long, self._found)
         if not self._found[0]:
             self._since[:] = 0.0
             return False
         x = state.position[:, :3]
-        stretch = self._stretch(x)
+        stretch = np.linalg.norm(x[self._edges[:, 0]] - x[self._edges[:, 1]], axis=1) / self._lengths
         pulled = bool((state.position[self._free, 3] == 0.0).any())
         found = np.zeros(self._since.shape, bool)
         found[0] = stretch > TOO_LONG
@@ -116,12 +116,9 @@ class Redressing:
         if not late.any():
             return False
         self._since[:, late] = 0.0
-        carried = self._stretch(self._carried(body))
-        return int((carried > LONG).sum()) < len(rows)
-
-    def _stretch(self, x: np.ndarray) -> np.ndarray:
-        """Length of each edge over its rest length [-]."""
-        return np.linalg.norm(x[self._edges[:, 0]] - x[self._edges[:, 1]], axis=1) / self._lengths
+        middles = self._carried(body)[self._edges].mean(axis=1, dtype=float)
+        depth = -self._distance.signed_distance(middles, body.current.astype(float))
+        return int(np.count_nonzero(depth > DEEP)) <= len(rows)
 
     def _carried(self, body: Body) -> np.ndarray:
         """The vertices where the body carries them from its bind pose, shape (n, 3)."""
