@@ -51,24 +51,23 @@ def verdict(database: WrinkleDatabase) -> tuple[str, str, str]:
     """
     simulated, drawn = len(database.coarse_vertices), database.fine_vertex_count
     what = (
-        f"{database.garment_name} ({database.fabric_name}) moves in real time: {simulated:,} points are simulated, and "
-        f"{drawn:,} are drawn with small folds that were learned from an exact, slow simulation."
+        f"The garment '{database.garment_name}' ({database.fabric_name}) moves in real time: {simulated:,} points are "
+        f"simulated, and {drawn:,} are drawn with small folds that were learned from an exact, slow simulation."
     )
     return what, _quality_sentence(database.quality), cost_sentence(database.quality)
 
 
 def _quality_sentence(quality: Mapping[str, float]) -> str:
-    names = "normal_error_deg", "normal_error_smooth_deg", "bending_energy_ratio", "smooth_bending_energy_ratio"
+    names = "normal_error_deg", "normal_error_smooth_deg", "bending_energy_ratio"
     if any(name not in quality for name in names):
         return "How near they come to it was not measured."
-    error, without, strength, strength_without = (quality[name] for name in names)
+    error, without, strength = (quality[name] for name in names)
     share = 100.0 * (1.0 - error / without)
     change = f"take away {share:.0f} %" if share >= 0.0 else f"add {-share:.0f} %"
     return (
         f"On a motion from which nothing was learned, they {change} of the error of the surface's direction "
-        f"({without:.1f} degrees without them, {error:.1f} with them), and the garment has "
-        f"{100.0 * strength:.0f} % of the exact simulation's strength of folds ({100.0 * strength_without:.0f} % "
-        "without them)."
+        f"({without:.1f} degrees without them, {error:.1f} with them), and the strength of the "
+        f"garment's folds is {100.0 * strength:.0f} % of the exact simulation's."
     )
 
 

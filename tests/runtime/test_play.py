@@ -138,7 +138,11 @@ def test_play_loads_nothing_that_only_learning_needs_and_prints_nothing_of_its_e
         "sys.exit(f'loaded {loaded}' if loaded else status)\n"
     )
     printed = python(script, "play", str(path), "--seconds", "0.2", "-o", str(tmp_path))
-    assert printed.startswith("skirt (muslin) moves in real time") and "\nwalk:\n" in printed and "aichi" not in printed
+    assert (
+        printed.startswith("The garment 'skirt' (muslin) moves in real time")
+        and "\nwalk:\n" in printed
+        and "aichi" not in printed
+    )
     assert len(printed.splitlines()) <= 3 + 2 + 12 + 1  # sentences, the motion's name, rows, where pictures are
 
 
