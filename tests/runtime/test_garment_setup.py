@@ -311,6 +311,7 @@ def test_a_mesh_is_subdivided_before_it_is_simulated() -> None:
     assert finer.cutoff == pytest.approx(0.5 * plain.cutoff, rel=0.02)
 
 
+@pytest.mark.proof
 def test_the_fine_cloth_is_as_converged_whichever_mesh_is_simulated() -> None:
     scenes = [
         parse_scene(FINER.format(2, ""), "plain"),

@@ -312,6 +312,7 @@ def test_the_command_prints_the_scene_and_never_writes_over_one(
     assert "exists already" in capsys.readouterr().err
 
 
+@pytest.mark.proof
 def test_two_garments_are_ordered_from_the_body_outwards(tmp_path: Path) -> None:
     made = write_new_scene(MANNEQUIN, ["builtin:skirt", "builtin:tshirt"], tmp_path / "scene.toml")
     assert [garment.garment.name for garment in made.garments] == ["skirt", "tshirt"]

@@ -86,6 +86,7 @@ def test_a_garment_that_starts_inside_one_below_it_is_refused() -> None:
 HELD_UP = SKIRT.replace('attach = "top"', 'fasten = "top"')
 
 
+@pytest.mark.proof
 def test_a_garment_that_is_fastened_hangs_on_the_one_below_it_until_it_is_opened() -> None:
     sliding = TROUSERS + 'attach = "none"\n'
     setup = setup_of(sliding + HELD_UP + REST)
@@ -125,6 +126,7 @@ def test_what_cannot_be_fastened_is_refused() -> None:
     refuses("mm from the nearest one at", setup_of, TROUSERS + SKIRT + "fasten = [0, 1]\n" + REST)
 
 
+@pytest.mark.proof
 def test_all_garments_are_as_fine_as_the_one_that_needs_it_most() -> None:
     setup = setup_of(TROUSERS + SKIRT.replace("subdivisions = 1", "subdivisions = 2") + REST)
     assert {garment.subdivisions for garment in setup.scene.garments} == {2}

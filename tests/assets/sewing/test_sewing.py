@@ -79,6 +79,7 @@ def test_a_tube_that_is_too_small_says_so() -> None:
         sew(tube_pattern(girth=0.4), pole, "cotton", edge_length=0.025)
 
 
+@pytest.mark.proof
 def test_a_band_holds_where_it_is_tight_however_finely_it_is_cut() -> None:
     """A heavy skirt on the waist of an hourglass."""
     vertices, faces = icosphere(4)

@@ -101,6 +101,7 @@ def run(good: list[Path], output: Path, seconds: float, workers: int, seed: int)
     assert not list(output.glob("worker_*"))
 
 
+@pytest.mark.proof
 def test_nothing_gets_through_in_some_seconds(good: list[Path], tmp_path: Path) -> None:
     run(good, tmp_path, 10.0, 1, seed=0)
 

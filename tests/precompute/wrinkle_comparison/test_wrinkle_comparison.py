@@ -19,6 +19,7 @@ from tests.runtime.players import skirt_database
 from wrinkles.database_file import write_database
 
 
+@pytest.mark.proof
 def test_all_ways_are_judged_on_the_same_states(learned: Precomputed, tmp_path: Path) -> None:
     with patch.object(wrinkle_comparison, "RADII", (0.25,)):
         found = compare_wrinkles_file(learned.path, tmp_path)
