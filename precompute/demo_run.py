@@ -1,6 +1,6 @@
 """`gube demo`: the whole road on the built-in scene, from nothing to a page with pictures.
 
-The short demo learns from nothing in about four minutes of two cores. The full one learns from more motion with a
+The short demo learns from nothing in about five minutes of two cores. The full one learns from more motion with a
 wider network and compares with more plain cloths; it takes a quarter of an hour.
 """
 
@@ -87,7 +87,7 @@ SHORT = Demo(
         piece_s=0.25,
         free_runs=2,
     ),
-    seconds=(53.0, 67.0, 4.0, 14.0, 2.0, 9.0, 27.0, 56.0, 10.0),
+    seconds=(72.0, 88.0, 4.0, 19.0, 3.0, 13.0, 33.0, 75.0, 11.0),
     moments=2,
     brief=True,
 )
