@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from runtime.output.figures import value_texts
+from runtime.output.figures import figure_table, value_texts
 from wrinkles.database import WrinkleDatabase
 
 __all__ = ["cost_sentence", "first_lines", "verdict"]
@@ -37,7 +37,7 @@ ROWS = (
     FirstFigure("fine_simulation_ms", "the exact simulation's time", "ms"),
     FirstFigure("first_frame_s", "start to first picture", "s"),
 )
-# Whose figures stand beside a row, by the prefix of their names.
+# Whose figures stand beside a row, by their column in the table of figures.
 BESIDE = {"smooth": "without learned folds", "truth": "the exact simulation"}
 
 
@@ -108,23 +108,14 @@ def first_lines(figures: Mapping[str, float]) -> list[str]:
     Args:
         figures: numbers by name, as a database or a played motion has them.
     """
-    lines = []
+    table, lines = figure_table(figures)[1], []
     for row in ROWS:
-        if row.figure not in figures:
+        values = table.get(row.figure, {})
+        if "ours" not in values:
             continue
-        beside = {words: value for words, value in _beside(row.figure, figures).items() if value is not None}
-        own, *others = value_texts([figures[row.figure], *beside.values()])
+        beside = {words: values[column] for column, words in BESIDE.items() if column in values}
+        own, *others = value_texts([values["ours"], *beside.values()])
         more = ", ".join(f"{words} {text}" for words, text in zip(beside, others, strict=True))
         unit = f" {row.unit}" if row.unit else ""
         lines.append(f"  {row.label:<36}{own}{unit}" + (f" ({more})" if more else ""))
     return lines
-
-
-def _beside(name: str, figures: Mapping[str, float]) -> dict[str, float | None]:
-    """The figures of BESIDE by their words; smooth's name may stand in front of a figure or before its unit."""
-    head, _, unit = name.rpartition("_")
-    names = {"smooth": (f"smooth_{name}", f"{head}_smooth_{unit}"), "truth": (f"truth_{name}",)}
-    return {
-        words: next((figures[each] for each in names[prefix] if each in figures), None)
-        for prefix, words in BESIDE.items()
-    }

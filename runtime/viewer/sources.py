@@ -98,7 +98,9 @@ class DatabaseSource:
     @property
     def wrinkles_notice(self) -> str:
         """The same where the wrinkles are asked for."""
-        return " ".join((*verdict(self.database), "The learned folds are played."))
+        if not self.prefers_plain_cloth:
+            return self.notice
+        return " ".join((*verdict(self.database), "Here the learned folds are played."))
 
     @property
     def wearable(self) -> bool:

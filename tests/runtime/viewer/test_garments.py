@@ -116,7 +116,7 @@ def plain_source() -> DatabaseSource:
 def test_plain_cloth_is_played_where_it_is_the_better_choice() -> None:
     source = plain_source()
     assert source.prefers_plain_cloth and "that cloth is played instead. 'play the wrinkles'" in source.notice
-    assert source.wrinkles_notice.endswith("that cloth is played instead. The learned folds are played.")
+    assert source.wrinkles_notice.endswith("that cloth is played instead. Here the learned folds are played.")
     garment = source.garment(source.motions[0], source.fabrics[0], False)
     assert garment.player.cloth is not None
     assert np.array_equal(garment.body_faces, source.inputs.body.faces)
