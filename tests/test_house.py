@@ -125,6 +125,7 @@ STAIRS = (
     "precompute",  # processes and computers that work together
     "precompute.reporting",
     "precompute.experiment",
+    "precompute.rivals",
     "precompute.learning",
     "precompute.wardrobe_learning",
     "precompute.wrinkle_comparison",

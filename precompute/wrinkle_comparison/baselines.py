@@ -34,6 +34,7 @@ from wrinkles.levels import Levels
 
 __all__ = [
     "PROBE_FRAMES",
+    "TURN",
     "Cloth",
     "ClothTurn",
     "Played",

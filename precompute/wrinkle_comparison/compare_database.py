@@ -8,14 +8,11 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from assets.io.scene import Scene, load_scene, scene_text
 from assets.motion import Motion
 from pbd import InputError
-from pbd.distance import penetration_figures
-from precompute.learning.evaluation import body_distances, floor_figures, free_figures, mean_figures
 from precompute.learning.pipeline import default_cache, precompute
 from precompute.learning.run_recording import Run
 from precompute.learning.stages import counted
@@ -23,6 +20,7 @@ from precompute.learning.truth import SETTLE, Truth, database_run, truth_of
 from precompute.scratch import Tally, scratch_folder
 from precompute.workers import Workers
 from precompute.wrinkle_comparison.baselines import (
+    TURN,
     Cloth,
     ClothTurn,
     Played,
@@ -32,7 +30,8 @@ from precompute.wrinkle_comparison.baselines import (
     take_turns,
 )
 from precompute.wrinkle_comparison.comparison import Comparison, Method, MotionComparison
-from precompute.wrinkle_comparison.realism import FEWEST_FRAMES, PatchStatistics, realism
+from precompute.wrinkle_comparison.method_figures import figures_of
+from precompute.wrinkle_comparison.realism import FEWEST_FRAMES
 from runtime.export.animation_baking import clip_begin
 from runtime.play.level_of_detail import LevelOfDetail
 from runtime.play.player import Player
@@ -41,7 +40,6 @@ from runtime.setup.playback_inputs import motions_of, playback_inputs
 from runtime.setup.scene_body import body_of
 from wrinkles.database import WrinkleDatabase, code_version
 from wrinkles.database_file import read_database, write_database
-from wrinkles.mesh_measures import edge_stretch
 from wrinkles.relaxation import PASSES
 
 __all__ = [
@@ -61,7 +59,8 @@ BRIEF = (6, 14)  # the same where little time is spent: of the mesh below the fi
 RUNS, BRIEF_RUNS = 4, 2  # free runs of what decides
 AT_A_TIME = 2  # plain cloths that are run again, the cheapest first, until one is as good
 MOTIONS = 2  # held-out motions of a database that are compared on, at most
-_UNCOUNTED = Tally(None)
+PROBED = 3 * TURN  # frames after which a plain cloth is given up that takes so many times as long as ours:
+DEAR = 4.0  # what it would come to is of no use to anybody, and it takes most of the time of a comparison
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -143,7 +142,11 @@ def _played(database: WrinkleDatabase, truth: Truth, brief: bool, folder: Path |
     }
     ours = {"": PlayerTurn(database, run, keep, player=player, folder=folder)} | others
     truth_cost = fine_cloth(run)
-    take_turns([*ours.values(), *(turn for _, turn in plain)], run.frame_count, tally.add)
+    probed = min(PROBED, run.frame_count)
+    take_turns([*ours.values(), *(turn for _, turn in plain)], probed, tally.add)
+    most = DEAR * ours[""].played.frame_ms
+    cheap = [turn for _, turn in plain if turn.played.frame_ms <= most]
+    take_turns([*ours.values(), *cheap], run.frame_count - probed, tally.add)
     names = {"": "ours", "ours_half_substeps_": "ours, half the substeps", "ours_half_atoms_": "ours, half the atoms"}
     simulated, dt = len(database.coarse_vertices), 1.0 / database.frame_rate
     methods = [
@@ -156,7 +159,9 @@ def _played(database: WrinkleDatabase, truth: Truth, brief: bool, folder: Path |
     again = [PlayerTurn(database, run, keep, folder=folder, start=start) for start in _starts(brief)]
     take_turns(again, run.frame_count)
     methods[1] = _with_runs(methods[1], [turn.played for turn in again])
-    methods += [_method(method, turn.played) for method, turn in plain]
+    for method, turn in plain:
+        method = _method(method, turn.played)
+        methods.append(method if turn in cheap else replace(method, runs=()))
     truth_ms = truth.recording.step_ms if brief else truth_cost.cost()
     methods.append(Method("truth_", "truth", truth_ms, {}, _settings(truth_cost), (truth.frames,)))
     settings = _settings(truth_cost.with_substeps(math.ceil(1.5 * truth_cost.substeps)))
@@ -176,7 +181,7 @@ def _again(
     cloth = next(cloth for one, cloth in _plain_methods(database, truth, brief) if one.prefix == method.prefix)
     again = [ClothTurn(cloth, truth.recording.frames, folder, start) for start in _starts(brief)]
     take_turns(again, truth.run.frame_count, tally.add)
-    (found,) = _figures_of(truth, [_with_runs(method, [turn.played for turn in again])])
+    (found,) = figures_of(truth, [_with_runs(method, [turn.played for turn in again])])
     return found
 
 
@@ -195,7 +200,7 @@ def plain_methods(
     keep = truth.recording.frames
     plain = [(method, ClothTurn(cloth, keep)) for method, cloth in _plain_methods(database, truth, brief=True)]
     take_turns([turn for _, turn in plain], truth.run.frame_count)
-    return _figures_of(truth, [_method(method, turn.played) for method, turn in plain])
+    return figures_of(truth, [_method(method, turn.played) for method, turn in plain])
 
 
 def _plain_methods(database: WrinkleDatabase, truth: Truth, brief: bool) -> Iterator[tuple[Method, Cloth]]:
@@ -245,37 +250,9 @@ def _with_figures(
     with Workers.of(workers) as pool:
         # Each process makes the filters of the mesh once for its share.
         shares = [shown[first :: pool.count] for first in range(min(pool.count, len(shown)))]
-        jobs = [partial(_figures_of, truth, share, tally) for share in shares]
+        jobs = [partial(figures_of, truth, share, tally) for share in shares]
         found = {method.prefix: method for share in pool.run(jobs, meanwhile=told) for method in share}
     return [found.get(method.prefix, method) for method in methods]
-
-
-def _figures_of(truth: Truth, methods: Sequence[Method], tally: Tally = _UNCOUNTED) -> list[Method]:
-    """Methods with their figures beside a truth; one that broke has none."""
-    statistics = PatchStatistics(truth.levels.fine)
-    of_truth = statistics(truth.frames)
-    measured = []
-    for method in methods:
-        if not method.runs:
-            measured.append(method)
-            continue
-        figures, told = {}, None
-        if method.prefix != "truth_":
-            every = [realism(statistics, of_truth, statistics(frames)) for frames in method.runs]
-            of_runs = [
-                free_figures(truth, frames) | {"realism": one.auc}
-                for frames, one in zip(method.runs, every, strict=True)
-            ]
-            floor = method.prefix == "floor_"
-            figures, told = (
-                floor_figures(truth, of_runs) if floor else mean_figures(truth, method.runs, of_runs),
-                every[0],
-            )
-        if not method.mesh:
-            figures |= _shared_figures(truth, method.runs[0])
-        measured.append(replace(method, figures=figures, realism=told))
-        tally.add()
-    return measured
 
 
 def _settings(cloth: Cloth) -> dict[str, float]:
@@ -293,16 +270,6 @@ def _player_settings(simulated: int, detail: LevelOfDetail, dt: float) -> dict[s
         "substeps a frame": detail.substeps,
         "substep [s]": dt / detail.substeps,
         "atoms": detail.atoms,
-    }
-
-
-def _shared_figures(truth: Truth, frames: np.ndarray) -> dict[str, float]:
-    """What can be asked of any run, the truth's too: contact with the body and stretch."""
-    stretch = edge_stretch(frames, *truth.levels.fine.edge_lengths())
-    figures = {name: float(value) for name, value in penetration_figures(*body_distances(truth, frames)).items()}
-    return figures | {
-        "edge_stretch_p99_percent": 100.0 * stretch.p99,
-        "edge_stretch_max_percent": 100.0 * stretch.max,
     }
 
 

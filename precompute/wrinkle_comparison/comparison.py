@@ -37,10 +37,10 @@ class Method:
         frame_ms: median processor time of a frame, body included [ms]; nan for the floor, which is no method. Of the
             truth in a brief comparison it is the time by the clock that its simulation took.
         figures: by name, without the prefix, see :func:`precompute.learning.evaluation.mean_figures`; none where it
-            broke.
+            broke or was too dear to be played.
         settings: everything needed to repeat it.
-        runs: fine vertices of each run [m], float32, shape (f, N, 3); none where it broke. Where they are mapped from
-            files, another process gets the files' names and not the frames.
+        runs: fine vertices of each run [m], float32, shape (f, N, 3); none where it has no figures. Where they are
+            mapped from files, another process gets the files' names and not the frames.
         broke_at: when it burst, see :class:`precompute.wrinkle_comparison.baselines.Played` [s].
         mesh: that plain cloth is simulated on; empty for what is no plain cloth.
         realism: how well its first run is distinguished from the truth; None for the truth and where it broke.
@@ -72,6 +72,11 @@ class Method:
         return self.prefix == "" or self.prefix.startswith("ours_")
 
     @property
+    def too_dear(self) -> bool:
+        """Whether it is plain cloth that was given up for its cost."""
+        return bool(self.mesh) and not self.figures and self.broke_at is None
+
+    @property
     def frames(self) -> np.ndarray | None:
         """Of its first run."""
         return self.runs[0] if self.runs else None
@@ -95,7 +100,8 @@ class Advantage(NamedTuple):
 
     Attributes:
         ratio: of both times [-], means over the motions; below 1 plain cloth is the better choice.
-        at_least: no plain cloth that was tried is as good: the ratio is that of the dearest, a lower bound.
+        at_least: no plain cloth that was played is as good: the ratio is that of the cheapest that was too dear to be
+            played, or of the dearest, a lower bound.
         cloth: the plain cloth, on the first motion.
         frame_ms: its time [ms].
     """
@@ -146,13 +152,13 @@ class MotionComparison:
             prefix: of the method.
             errors: names of ERRORS. One that is unknown of the method is not as good.
         """
-        rival, ours, floor = self.method(prefix), self.method(""), self.method("floor_")
-        return all(
-            rival.error(name)
-            <= max(ours.error(name), floor.error(name))
-            + BEYOND * math.hypot(rival.standard_error(name, ours), ours.standard_error(name, ours))
-            for name in errors
-        )
+        return all(self.no_worse(self.method(prefix), self.method(""), name) for name in errors)
+
+    def no_worse(self, one: Method, other: Method, error: str) -> bool:
+        """Whether a method is no worse than another or the floor by one of ERRORS, beyond chance."""
+        ours, floor = self.method(""), self.method("floor_")
+        chance = math.hypot(one.standard_error(error, ours), other.standard_error(error, ours))
+        return one.error(error) <= max(other.error(error), floor.error(error)) + BEYOND * chance
 
     def with_method(self, method: Method) -> MotionComparison:
         """The same where a method is another."""
@@ -183,6 +189,12 @@ class Comparison:
         return sorted(held, key=self.frame_ms)
 
     @property
+    def _too_dear(self) -> list[str]:
+        """Prefixes of the plain cloths that were too dear to be played in some motion, the cheapest first."""
+        found = {one.prefix for motion in self.motions for one in motion.plain if one.too_dear}
+        return sorted(found, key=self.frame_ms)
+
+    @property
     def candidates(self) -> list[str]:
         """Prefixes of the plain cloths that may be as good as ours by what one run tells, the cheapest first."""
         if not all(motion.method("").figures for motion in self.motions):
@@ -201,7 +213,7 @@ class Comparison:
         whole, good = self._plain, self.as_good
         if not whole or not all(motion.method("").figures for motion in self.motions):
             return None
-        prefix = good[0] if good else whole[-1]
+        prefix = good[0] if good else next(iter(self._too_dear), whole[-1])
         frame_ms = self.frame_ms(prefix)
         return Advantage(frame_ms / self.frame_ms(), not good, self.motions[0].method(prefix), frame_ms)
 

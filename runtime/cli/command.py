@@ -41,6 +41,7 @@ COMMANDS: Mapping[str, str] = {
     "stability": "precompute.commands.stability",
     "fuzz": "precompute.commands.fuzz",
     "bench frame": "precompute.commands.bench_frame",
+    "bench garment": "precompute.commands.bench_garment",
     "bench solver": "precompute.commands.bench_solver",
     "bench failures": "precompute.commands.bench_failures",
     "bench stress": "precompute.commands.bench_stress",

@@ -88,8 +88,8 @@ def cost_sentence(quality: Mapping[str, float]) -> str:
     cost = f"A picture takes {plain_ms / ratio:.1f} ms of one processor core"
     if quality["cost_advantage_is_at_least"]:
         return (
-            f"{cost}; of the cloths without learned folds that were tried, none is as good, the dearest ({cloth}) with "
-            f"{plain_ms:.1f} ms: the learned folds are played."
+            f"{cost}; of the cloths without learned folds that were tried, none is as good up to {plain_ms:.1f} ms "
+            f"({cloth}): the learned folds are played."
         )
     if ratio < 1.0:
         return (

@@ -65,7 +65,7 @@ def test_the_second_sentence_says_how_good_it_is() -> None:
     [
         ({}, "takes 18.0 ms: the learned folds are played."),
         ({"cost_advantage": 0.5}, "is as good and takes 18.0 ms: that cloth is played instead."),
-        ({"cost_advantage_is_at_least": 1.0}, "none is as good, the dearest (2,424 points in 14 steps) with 18.0 ms"),
+        ({"cost_advantage_is_at_least": 1.0}, "none is as good up to 18.0 ms (2,424 points in 14 steps)"),
         ({"plain_passes": 2.0}, "(2,424 points in 14 steps, smoothed)"),
     ],
 )

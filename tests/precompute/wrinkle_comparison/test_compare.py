@@ -86,12 +86,12 @@ def comparison(database: WrinkleDatabase, truth: Truth) -> Comparison:
 
 
 def some(prefix: str, frame_ms: float, errors: dict[str, float] | float | None, mesh: str = "") -> Method:
-    """A method of four runs with one error for all, or errors by name, or one that broke."""
+    """A method of four runs with one error for all, or errors by name; None broke, without errors it is too dear."""
     values = {} if errors is None else dict.fromkeys(ERRORS, errors) if isinstance(errors, float) else errors
     figures = {ERRORS[name]: float(np.exp(value)) if name == "spread" else value for name, value in values.items()}
     settings = {"simulated vertices": 9.0, "substeps a frame": 3.0}
     runs = (np.zeros((1, 1, 3)),) * 4 if values else ()
-    broke_at = None if values else 0.5
+    broke_at = 0.5 if errors is None else None
     return Method(prefix, prefix, frame_ms, figures, settings, runs, mesh=mesh, broke_at=broke_at)
 
 
@@ -127,6 +127,16 @@ def test_every_mesh_of_the_chain_is_a_plain_cloth(database: WrinkleDatabase, tru
     assert counts == sorted(counts)
 
 
+def test_plain_cloth_that_is_too_dear_is_not_played_on(
+    database: WrinkleDatabase, truth: Truth, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(comparing, "DEAR", 0.0)
+    methods = comparing._played(database, truth, True, None, Tally(None))
+    plain = [one for one in methods if one.mesh]
+    assert plain and all(one.too_dear and one.frame_ms > 0.0 for one in plain)
+    assert all(len(one.runs[0]) == len(truth.frames) for one in methods if not one.mesh)
+
+
 @pytest.mark.parametrize(
     ("ours", "plain", "ratio", "at_least"),
     [
@@ -136,6 +146,8 @@ def test_every_mesh_of_the_chain_is_a_plain_cloth(database: WrinkleDatabase, tru
         (0.05, [(8.0, 0.1), (20.0, 0.2)], 2.0, False),  # within the floor nothing is better
         (0.3, [(8.0, None), (12.0, 0.2), (90.0, None)], 3.0, False),  # a cloth that breaks is not good
         (0.3, [(8.0, 0.4), (90.0, None)], 2.0, True),
+        (0.3, [(8.0, 0.4), (90.0, {}), (70.0, {})], 17.5, True),  # too dear to be played: a bound
+        (0.3, [(8.0, 0.2), (90.0, {})], 2.0, False),
     ],
 )
 def test_the_advantage_is_that_over_the_cheapest_plain_cloth_as_good(
@@ -212,7 +224,7 @@ def test_a_database_says_which_is_the_better_choice(tmp_path: Path, database: Wr
     for cloths, words in (
         ([(1.0, 0.29), (20.0, 0.2)], "(9 points in 3 steps) is as good and takes 1.0 ms: that cloth is played instead"),
         ([(8.0, 0.3)], "that is as good (9 points in 3 steps) takes 8.0 ms: the learned folds are played"),
-        ([(8.0, 0.4)], "none is as good, the dearest (9 points in 3 steps) with 8.0 ms: the learned folds are played"),
+        ([(8.0, 0.4)], "none is as good up to 8.0 ms (9 points in 3 steps): the learned folds are played"),
     ):
         written = write_choice(path, database, rigged(truth, 0.3, *cloths))
         sentence = cost_sentence(written.quality)

@@ -1,0 +1,85 @@
+"""The table of garments in other engines: what is as good as a rival, and what a rival is ahead by."""
+
+from __future__ import annotations
+
+import math
+from typing import cast
+
+import numpy as np
+import pytest
+
+from precompute.benchmarks.garment_bench import CROSSED, INSIDE, STRETCH, GarmentBench, RivalSetting, bench_text
+from precompute.learning.truth import Truth
+from precompute.wrinkle_comparison.comparison import ERRORS, Method, MotionComparison
+
+
+def some(
+    prefix: str, frame_ms: float, error: float, *, mesh: str = "", stretch: float = 2.0, **errors: float
+) -> Method:
+    """A method with one error for all but those that are named."""
+    values = dict.fromkeys(ERRORS, error) | errors
+    figures = {ERRORS[name]: math.exp(value) if name == "spread" else value for name, value in values.items()}
+    runs = (np.zeros((1, 1, 3)),) * 4
+    return Method(
+        prefix, prefix or "ours", frame_ms, figures | {STRETCH: stretch, INSIDE: 0.0, CROSSED: 0.0}, {}, runs, mesh=mesh
+    )
+
+
+def bench(rival: Method, *ours: Method, ended: str = "") -> GarmentBench:
+    """A garment with one rival; the floor and the truth have errors of 0.1 and a stretch of 2 %."""
+    methods = (*ours, some("floor_", math.nan, 0.1), some("truth_", 100.0, 0.1), rival)
+    motion = MotionComparison("walk", cast(Truth, None), methods)
+    return GarmentBench(
+        "skirt", motion, (RivalSetting(rival, "Blender", "speed", ended),), {}, {"MuJoCo flex": "not installed"}
+    )
+
+
+def test_the_cheapest_of_ours_that_is_as_good_is_named_with_its_share() -> None:
+    ours = some("", 8.0, 0.2), some("plain_3_", 4.0, 0.3, mesh="coarse"), some("plain_6_", 5.0, 0.25, mesh="coarse")
+    found = bench(some("rival_", 50.0, 0.25), *ours)
+    row = found.rows()[-1]
+    assert row["ours as good"] == "plain_6_" and row["its share"] == pytest.approx(0.1)
+    assert "as good with plain_6_: 0.10 of its time" in bench_text(found)
+
+
+def test_a_rival_within_the_floor_is_no_better() -> None:
+    assert (
+        bench(some("rival_", 50.0, 0.01), some("", 8.0, 0.09)).cheapest_as_good(some("rival_", 50.0, 0.01)) is not None
+    )
+
+
+@pytest.mark.parametrize(
+    ("rival", "by"),
+    [
+        (some("rival_", 50.0, 0.5, normals=0.15), "normals"),
+        (some("rival_", 50.0, 0.5, bias=0.15, octaves=0.15), "octaves bias"),
+    ],
+)
+def test_what_a_rival_is_ahead_by_is_said(rival: Method, by: str) -> None:
+    found = bench(rival, some("", 8.0, 0.2), some("plain_3_", 4.0, 0.6, mesh="coarse"))
+    assert found.rows()[-1]["rival ahead by"] == by
+    assert f"ahead of ours by {by}" in bench_text(found)
+
+
+def test_cloth_that_is_stretched_more_than_the_rival_and_the_truth_is_not_as_good() -> None:
+    assert (
+        bench(some("rival_", 50.0, 0.5, stretch=1.0), some("", 8.0, 0.2, stretch=3.0)).rows()[-1]["rival ahead by"]
+        == "stretch"
+    )
+    assert (
+        bench(some("rival_", 50.0, 0.5, stretch=1.0), some("", 8.0, 0.2, stretch=2.0)).rows()[-1]["ours as good"]
+        == "ours"
+    )
+
+
+def test_a_spread_that_a_single_run_does_not_have_is_not_asked() -> None:
+    rival = some("rival_", 50.0, 0.5)
+    figures = {name: value for name, value in rival.figures.items() if name != ERRORS["spread"]}
+    alone = Method("rival_", "rival_", 50.0, figures, {}, rival.runs[:1])
+    assert bench(alone, some("", 8.0, 0.2)).rows()[-1]["ours as good"] == "ours"
+
+
+def test_what_stopped_a_rival_and_what_is_missing_is_said() -> None:
+    stopped = Method("rival_", "Blender for speed, 9,552", 700.0, {}, {})
+    text = bench_text(bench(stopped, some("", 8.0, 0.2), ended="given up: 700 ms a frame"))
+    assert "given up: 700 ms a frame" in text and "MuJoCo flex: not installed" in text
