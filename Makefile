@@ -7,7 +7,7 @@ WEB_SOURCES := package.json package-lock.json $(WEB)/three.js
 export PYTHONHASHSEED := 0
 export GUBE_DATA ?= $(CURDIR)/../shared/data
 
-.PHONY: demo docs gallery fabrics garments scenes blender test browser-test lint kernels format proofs gpu-proofs licences lock clean
+.PHONY: demo docs gallery fabrics garments database scenes blender test browser-test lint kernels format proofs gpu-proofs licences lock clean
 
 demo: .venv/ready
 	$(BIN)/gube demo
@@ -26,6 +26,10 @@ fabrics: .venv/ready
 # Sews the built-in garments anew: assets/data/*.npz.
 garments: .venv/ready
 	$(BIN)/python -m assets.procedural.builtin_sewing
+
+# Learns the database that `gube view` shows without a file: that of the demo.
+database: demo
+	cp out/demo/skirt.h5 assets/data/demo.h5
 
 # Sews the garments of docs/scenes/sewn_*.toml for the MakeHuman woman.
 SEWN := tshirt shirt trousers circle_skirt

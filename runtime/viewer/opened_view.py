@@ -1,4 +1,4 @@
-"""Opens what `gube view` is asked for: a database, a scene, a saved view, or the demo."""
+"""Opens what `gube view` is asked for: a database, a scene, a saved view, or what there is without a file."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from runtime.viewer.garments import ShownTruth
 from runtime.viewer.sources import DatabaseSource, SceneSource, Source
 from wrinkles.database import WrinkleDatabase
 
-__all__ = ["DEMO_DATABASE", "Opened", "Truths", "open_source"]
+__all__ = ["BUILTIN_DATABASE", "DEMO_DATABASE", "Opened", "Truths", "open_source"]
 
 DEMO_DATABASE = Path("out/demo/skirt.h5")  # where `gube demo` writes it
-DEMO_SCENE = Path(assets.__file__).parent / "data" / "demo.toml"
+BUILTIN_DATABASE = Path(assets.__file__).parent / "data" / "demo.h5"  # `make database` learns it anew
 
 Truths = Callable[[Path, WrinkleDatabase, PlaybackInputs], Mapping[str, ShownTruth]]
 """Finds recorded fine simulations by the name of the motion."""
@@ -43,21 +43,21 @@ def open_source(file: Path | None, truths: Truths | None = None) -> Opened:
     """Open what is viewed.
 
     Args:
-        file: a database (.h5), or a scene or a saved view (.toml); None takes the demo's database, or without one the
-            demo's scene.
+        file: a database (.h5), or a scene or a saved view (.toml); None takes the demo's database, or without one that
+            of the package.
         truths: finds the fine simulations that are shown beside a database; None shows none.
 
     Raises:
         InputError: another kind of file, one that cannot be opened, or truths of a scene without a database.
     """
-    if file is None and DEMO_DATABASE.exists():
-        file = DEMO_DATABASE
-    if file is not None and file.suffix.lower() == ".h5":
+    if file is None:
+        file = DEMO_DATABASE if DEMO_DATABASE.exists() else BUILTIN_DATABASE
+    if file.suffix.lower() == ".h5":
         return Opened(_database_source(file, truths))
-    if file is not None and file.suffix.lower() != ".toml":
+    if file.suffix.lower() != ".toml":
         expected = "a database (.h5) or a scene (.toml)"
         raise InputError("nothing to view", key="file", received=str(file), expected=expected)
-    scene = load_scene(DEMO_SCENE if file is None else file)
+    scene = load_scene(file)
     view = scene.view
     if view is not None and view.database is not None:
         source = _database_source(view.database, truths)
@@ -65,12 +65,6 @@ def open_source(file: Path | None, truths: Truths | None = None) -> Opened:
     if truths is not None:
         expected = "a database: a scene is simulated as it is"
         raise InputError("no wrinkles to compare with the truth", key="--truth", received=file, expected=expected)
-    if file is None:
-        notice = (
-            "The built-in skirt, simulated without wrinkles. `gube demo` learns its wrinkles in six minutes; "
-            "`gube view` in the same folder then shows them."
-        )
-        return Opened(SceneSource(DEMO_SCENE, scene, notice))
     source = SceneSource(file, scene)
     return Opened(source) if view is None else Opened(source, view, scene.camera)
 

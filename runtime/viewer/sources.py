@@ -148,12 +148,15 @@ class SceneSource:
     Attributes:
         path: of its file.
         scene: the scene.
-        notice: what is played, in a sentence.
     """
 
     path: Path
     scene: Scene
-    notice: str = "The garments of a scene, simulated without wrinkles. A database of `gube precompute` has wrinkles."
+
+    @property
+    def notice(self) -> str:
+        """What is played."""
+        return "The garments of a scene, simulated without wrinkles. A database of `gube precompute` has wrinkles."
 
     @property
     def wrinkles_notice(self) -> str:

@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         metavar="FILE",
         help="a wrinkle database (.h5), a scene or a saved view (.toml) (default: what `gube demo` made in "
-        "out/demo; without that, the demo's scene)",
+        "out/demo; without that, a skirt that comes with the package)",
     )
     add_output_folder(parser, "out/view", "a folder for saved pictures, clips and views")
     parser.add_argument(

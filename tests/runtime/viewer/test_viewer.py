@@ -363,12 +363,13 @@ def test_a_view_of_what_is_not_there_is_refused(tmp_path: Path, view: ViewSettin
     refuses(message, Viewer, Opened(skirt_source(), view), tmp_path, port=0)
 
 
-def test_without_a_file_the_demo_is_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_file_the_demo_is_opened_else_what_comes_with_the_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
-    source = open_source(None).source
-    assert not isinstance(source, DatabaseSource) and "gube demo" in source.notice
+    assert open_source(None).source.path == opened_view.BUILTIN_DATABASE
     write_database(tmp_path / opened_view.DEMO_DATABASE, skirt_source().database)
-    assert isinstance(open_source(None).source, DatabaseSource)
+    assert open_source(None).source.path == opened_view.DEMO_DATABASE
 
 
 @pytest.mark.parametrize(
