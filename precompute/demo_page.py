@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from precompute.learning.pipeline import Precomputed
@@ -23,13 +25,14 @@ def duration(seconds: float) -> str:
 
 
 def newcomer_sections(
-    learned: Precomputed, database: WrinkleDatabase, picture: np.ndarray, seconds: float
+    learned: Precomputed, database: WrinkleDatabase, film: Path, picture: np.ndarray, seconds: float
 ) -> list[Section]:
-    """The top of the page: three sentences, the picture, and how both came about.
+    """The top of the page: three sentences, the film and the picture, and how they came about.
 
     Args:
         learned: what came out of learning.
         database: the same with what the comparison found.
+        film: a WebP file.
         picture: uint8, shape (h, w, 3).
         seconds: that all of it took [s].
     """
@@ -51,6 +54,7 @@ is {floor:.1f} degrees off the first, ours {free:.1f} and smooth {free_smooth:.1
 bending energy, is compared, which grows with the number of folds and their sharpness."""
     return [
         Text("\n\n".join(verdict(database))),
+        Picture(film, "The coarse skirt, the truth and ours on the walk that nothing was learned from."),
         Picture(picture, _CAPTION),
         Heading("How it was made"),
         Text(made),

@@ -17,6 +17,7 @@ import assets
 from assets.character import Character
 from assets.io.scene import Scene, load_scene
 from assets.io.sequence import Sequence as VertexSequence
+from pbd.storage import replacing
 from precompute.demo_page import duration, newcomer_sections
 from precompute.learning.evaluation import Evaluation
 from precompute.learning.options import LearningOptions
@@ -28,7 +29,7 @@ from precompute.learning.truth import Truth, settled, truth_runs
 from precompute.reporting.html_page import write_page
 from precompute.workers import Workers
 from runtime.draw.picture_content import Drawn, frame_camera
-from runtime.draw.pictures import render, save_png, strip
+from runtime.draw.pictures import encode_film, render, save_png, strip
 from runtime.draw.shown_body import shown_body
 from runtime.export.animation_files import bake_glb
 from runtime.export.free_run import posed_bodies
@@ -37,7 +38,18 @@ from runtime.output.verdict import verdict
 from runtime.setup.garment_setup import GarmentSetup
 from wrinkles.metrics import normal_error_deg
 
-__all__ = ["FULL", "SHORT", "STAGES", "WORDS", "Demo", "DemoResult", "draw_moments", "introduction", "run_demo"]
+__all__ = [
+    "FULL",
+    "SHORT",
+    "STAGES",
+    "WORDS",
+    "Demo",
+    "DemoResult",
+    "draw_film",
+    "draw_moments",
+    "introduction",
+    "run_demo",
+]
 
 DATA = Path(assets.__file__).parent / "data"
 WORDS = {
@@ -54,6 +66,7 @@ WORDS = {
 STAGES = ("held-out motion", *LEARNING_STAGES, "comparing", "drawing")
 PICTURE = (560, 640)
 AZIMUTH = 8.0  # of the camera, seen from where the walk goes [deg]
+FILM, FILM_EVERY = (300, 340), 2  # size of a picture of the film, and recorded frames from one to the next
 GLB_BYTES = 14e6  # that the garment of the animation may take; frames are left out evenly until it does
 
 
@@ -107,7 +120,7 @@ class DemoResult:
     Attributes:
         figures: by name.
         words: what was made, how good it is and what it costs, in sentences.
-        page, picture, first_picture, animation, database: files.
+        page, picture, first_picture, film, animation, database: files.
     """
 
     figures: dict[str, float]
@@ -115,6 +128,7 @@ class DemoResult:
     page: Path
     picture: Path
     first_picture: Path
+    film: Path
     animation: Path
     database: Path
 
@@ -156,7 +170,8 @@ def introduction(demo: Demo, output: Path) -> str:
             f"A fine simulation of a {garment} is learned from, so that a coarse one can be played with the fine one's",
             "folds. Then it is played on a walk that nothing was learned from, and judged beside the truth.",
             f"This takes about {minutes:.0f} minutes on two idle cores. Everything goes to {output}:",
-            "first.png (coarse and truth, within a minute or two), demo.png, skirt.glb, skirt.h5 and index.html.",
+            "first.png (coarse and truth, within a minute or two), demo.png, demo.webp (the same moving), skirt.glb,",
+            "skirt.h5 and index.html.",
         ]
     )
 
@@ -183,7 +198,8 @@ def run_demo(
 
     say = say or (lambda line: None)
     scene, database_path, began = load_scene(demo.scene), output / "skirt.h5", time.monotonic()
-    first_picture, picture_file, animation = output / "first.png", output / "demo.png", output / "skirt.glb"
+    first_picture, picture_file, film = output / "first.png", output / "demo.png", output / "demo.webp"
+    animation = output / "skirt.glb"
     pool = Workers(workers)
     clock = _Clock(demo.seconds, pool, say, report)
     with pool:
@@ -202,8 +218,10 @@ def run_demo(
             body = shown_body(truth.run.body, truth.levels)
             picture = draw_moments(truth, evaluation, demo.moments, body.faces)
             save_png(picture_file, picture)
+            with replacing(film) as beside:
+                beside.write_bytes(draw_film(truth, evaluation, body.faces))
             _bake(animation, truth, evaluation, body, learned.database.fine_texture)
-    sections = newcomer_sections(learned, database, picture, time.monotonic() - began)
+    sections = newcomer_sections(learned, database, film, picture, time.monotonic() - began)
     write_page(output / "index.html", "A skirt with learned folds", [*sections, *comparison_sections(comparison)])
     return DemoResult(
         evaluation.figures,
@@ -211,6 +229,7 @@ def run_demo(
         output / "index.html",
         picture_file,
         first_picture,
+        film,
         animation,
         database_path,
     )
@@ -269,24 +288,54 @@ def _draw(
     parts = np.array_split(normal_error_deg(recording.positions, smooth, run.levels.fine.faces), moments)
     firsts = np.cumsum([0, *(len(part) for part in parts)])
     picked = np.array([first + part.argmax() for first, part in zip(firsts, parts, strict=False)])
+    pictures = _pictures(columns, run, recording, picked, body_faces, PICTURE)
+    return strip(pictures, list(columns), [f"{recording.frames[index] * run.dt:.1f} s" for index in picked])
+
+
+def draw_film(truth: Truth, evaluation: Evaluation, body_faces: np.ndarray) -> bytes:
+    """Coarse, truth and ours side by side, the free run from its start to its end: the bytes of a WebP file.
+
+    Args:
+        truth, evaluation, body_faces: as for :func:`draw_moments`.
+    """
+    coarse, fine, run = truth.levels.coarse.faces, truth.levels.subdivision.faces, truth.run
+    columns = {
+        "coarse": (evaluation.free.coarse, coarse),
+        "truth": (truth.frames, fine),
+        "ours": (evaluation.free.frames, fine),
+    }
+    picked = np.arange(0, len(truth.frames), FILM_EVERY)
+    pictures = _pictures(columns, run, truth.recording, picked, body_faces, FILM)
+    shown = [strip([[one] for one in moment], list(columns), [""]) for moment in zip(*pictures, strict=True)]
+    return encode_film(shown, 1.0 / (run.dt * run.every * FILM_EVERY))
+
+
+def _pictures(
+    columns: dict[str, tuple[np.ndarray, np.ndarray]],
+    run: Run,
+    recording: Recording,
+    picked: np.ndarray,
+    body_faces: np.ndarray,
+    size: tuple[int, int],
+) -> list[list[np.ndarray]]:
+    """Each mesh at the picked recorded frames."""
     bodies = posed_bodies(run.body, run.poses[recording.frames[picked]])
     shown = recording.positions[picked].astype(float)
-    cameras = frame_camera(shown, azimuth_deg=AZIMUTH, aspect=PICTURE[0] / PICTURE[1], margin=1.12)
+    cameras = frame_camera(shown, azimuth_deg=AZIMUTH, aspect=size[0] / size[1], margin=1.12)
     levels = run.levels
     patterns = {len(levels.coarse.faces): levels.pattern}
     patterns[len(levels.subdivision.faces)] = levels.subdivision.flat_corners(levels.pattern)
-    pictures = [
+    return [
         [
             render(
                 [Drawn.body(body, body_faces), Drawn(vertices[index], faces, pattern=patterns[len(faces)])],
                 camera,
-                PICTURE,
+                size,
             )
             for index, body, camera in zip(picked, bodies, cameras, strict=True)
         ]
         for vertices, faces in columns.values()
     ]
-    return strip(pictures, list(columns), [f"{recording.frames[index] * run.dt:.1f} s" for index in picked])
 
 
 def _bake(

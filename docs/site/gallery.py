@@ -5,7 +5,6 @@ Each film is simulated here and now from built-in garments; the repository keeps
 
 from __future__ import annotations
 
-import io
 import json
 import sys
 from collections.abc import Callable, Mapping
@@ -13,16 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 import gube
 from runtime.draw.picture_content import Drawn, frame_camera
-from runtime.draw.pictures import render
+from runtime.draw.pictures import encode_film, render
 
 OUT = Path(__file__).resolve().parent.parent.parent / "out" / "gallery"
 SIZE = (360, 400)  # [pixel]
 FILM_HZ, SECONDS = 15.0, 3.0
-QUALITY = 80  # of WebP [%]
 MAX_BYTES = 500_000  # of one film
 
 ON_A_BODY = """
@@ -79,30 +76,14 @@ FILMS: Mapping[str, Callable[[], Film]] = {
 """Names of files, and the function that makes each film."""
 
 
-def draw(film: Film) -> list[Image.Image]:
+def draw(film: Film) -> list[np.ndarray]:
     """The pictures of a film."""
     (garment, body), (faces, body_faces) = film.frames, film.faces
     cameras = frame_camera(garment, aspect=SIZE[0] / SIZE[1], margin=1.2)
     return [
-        Image.fromarray(render([Drawn.body(behind, body_faces), Drawn(cloth, faces)], camera, SIZE))
+        render([Drawn.body(behind, body_faces), Drawn(cloth, faces)], camera, SIZE)
         for cloth, behind, camera in zip(garment, body, cameras, strict=True)
     ]
-
-
-def encoded(pictures: list[Image.Image]) -> bytes:
-    """A film as WebP that plays again and again."""
-    file = io.BytesIO()
-    pictures[0].save(
-        file,
-        "WEBP",
-        save_all=True,
-        append_images=pictures[1:],
-        duration=round(1000 / FILM_HZ),
-        loop=0,
-        quality=QUALITY,
-        method=4,
-    )
-    return file.getvalue()
 
 
 def main() -> int:
@@ -115,7 +96,7 @@ def main() -> int:
     notes, large = [], 0
     for name, make in FILMS.items():
         film = make()
-        data = encoded(draw(film))
+        data = encode_film(draw(film), FILM_HZ)
         large += len(data) > MAX_BYTES
         (OUT / f"{name}.webp").write_bytes(data)
         notes.append({"file": f"{name}.webp", "title": film.title, "words": film.words})

@@ -41,6 +41,7 @@ def run(options: argparse.Namespace) -> Report:
     say("\n".join(made.words))
     say(f"page:      {made.page}")
     say(f"picture:   {made.picture} (coarse | truth | ours | ours on the truth's own coarse skirt)")
+    say(f"film:      {made.film} (coarse | truth | ours)")
     say(f"animation: {made.animation} (Blender: File, Import, glTF)")
     say(f"database:  {made.database}")
     say(f"next: gube view {made.database}")

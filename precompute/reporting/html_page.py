@@ -45,7 +45,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture: uint8 (h, w, 3), stored as JPEG, or a PNG or JPEG file, stored as it is."""
+    """A picture: uint8 (h, w, 3), stored as JPEG, or a PNG, JPEG or WebP file, stored as it is."""
 
     image: np.ndarray | str | os.PathLike[str]
     caption: str
@@ -122,10 +122,10 @@ def _paragraphs(text: str) -> list[str]:
 def _data_address(image: np.ndarray | str | os.PathLike[str]) -> str:
     """A picture as a ``data:`` address."""
     content = encode_image(image, "jpeg") if isinstance(image, np.ndarray) else Path(image).read_bytes()
-    kinds = {b"\x89PNG\r\n\x1a\n": "png", b"\xff\xd8\xff": "jpeg"}
+    kinds = {b"\x89PNG\r\n\x1a\n": "png", b"\xff\xd8\xff": "jpeg", b"RIFF": "webp"}
     kind = next((kind for start, kind in kinds.items() if content.startswith(start)), None)
     if kind is None:
-        raise InputError("not a picture that a page can hold", file=image, expected="a PNG or JPEG file")
+        raise InputError("not a picture that a page can hold", file=image, expected="a PNG, JPEG or WebP file")
     return f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"
 
 

@@ -19,6 +19,7 @@ from runtime.draw.picture_content import Camera, Drawn
 from runtime.draw.studio import studio
 
 __all__ = [
+    "encode_film",
     "encode_image",
     "render",
     "save_png",
@@ -126,6 +127,22 @@ def encode_image(image: np.ndarray, kind: str = "png") -> bytes:
         raise InputError("not a picture", received=f"{image.dtype} {image.shape}", expected="uint8 of shape (h, w, 3)")
     buffer = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(image)).save(buffer, kind.upper(), optimize=kind == "jpeg", quality=90)
+    return buffer.getvalue()
+
+
+def encode_film(pictures: Sequence[np.ndarray], rate: float, quality: int = 80) -> bytes:
+    """Pictures as the bytes of a WebP file that plays again and again.
+
+    Args:
+        pictures: each uint8, shape (h, w, 3); all have one size.
+        rate: pictures a second [Hz].
+        quality: of WebP [%].
+    """
+    from PIL import Image
+
+    buffer, (first, *others) = io.BytesIO(), [Image.fromarray(np.ascontiguousarray(one)) for one in pictures]
+    settings = {"duration": round(1000.0 / rate), "loop": 0, "quality": quality, "method": 4}
+    first.save(buffer, "WEBP", save_all=True, append_images=others, **settings)
     return buffer.getvalue()
 
 

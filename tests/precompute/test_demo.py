@@ -44,6 +44,7 @@ def ran(learned: Precomputed, tmp_path_factory: pytest.TempPathFactory) -> Ran:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(baselines, "PROBE_FRAMES", 16)
         patch.setattr(demo, "PICTURE", (120, 150))
+        patch.setattr(demo, "FILM", (60, 70))
         small = Demo(output / "scene.toml", OPTIONS, (1.0,) * len(STAGES), moments=2, brief=True)
         made = run_demo(output, small, workers=1, say=said.append, report=told.append)
     return Ran(made, said, told)
@@ -71,6 +72,14 @@ def test_every_file_is_made(ran: Ran) -> None:
     made = ran.made
     assert all(path.stat().st_size > 0 for path in (made.page, made.picture, made.first_picture, made.animation))
     assert len(read_database(made.database).held_out) == 1
+
+
+def test_the_film_shows_coarse_truth_and_ours_moving(ran: Ran) -> None:
+    film = Image.open(ran.made.film)
+    assert film.n_frames > 5 and 3 * 60 < film.width < 4 * 60
+    first = np.asarray(film.convert("RGB"), float)
+    film.seek(film.n_frames - 1)
+    assert np.abs(np.asarray(film.convert("RGB"), float) - first).max() > 50.0
 
 
 def test_the_animation_costs_what_it_should(ran: Ran) -> None:

@@ -279,7 +279,7 @@ def test_bad_sections_are_refused_and_leave_the_old_page(tmp_path, section, mess
 
 def test_a_file_that_is_no_picture_is_refused(tmp_path):
     (tmp_path / "x.png").write_bytes(b"GIF89a")
-    with pytest.raises(InputError, match=r"x\.png.*PNG or JPEG"):
+    with pytest.raises(InputError, match=r"x\.png.*PNG, JPEG or WebP"):
         write_page(tmp_path / "a.html", "t", [Picture(tmp_path / "x.png", "c")])
 
 
