@@ -26,7 +26,7 @@ FAR = 100.0  # a vertex further from the origin has burst [m]
 
 def main(path: Path) -> None:
     """Play a job: a JSON object with ``dressing``, ``engine``, ``settings``, ``frames``, ``keep`` and ``out``."""
-    job = json.loads(path.read_text(encoding="utf-8"))
+    job = json.loads(path.read_bytes())
     dressing, keep, kept, times, ended = Dressing.read(Path(job["dressing"])), set(job["keep"]), [], [], ""
     step, vertices = _start(job["engine"], dressing, path.parent, job["settings"])
     for frame in range(1, min(job["frames"], dressing.frame_count) + 1):
