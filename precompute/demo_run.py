@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -66,7 +67,7 @@ WORDS = {
 STAGES = ("held-out motion", *LEARNING_STAGES, "comparing", "drawing")
 PICTURE = (560, 640)
 AZIMUTH = 8.0  # of the camera, seen from where the walk goes [deg]
-FILM, FILM_EVERY = (300, 340), 2  # size of a picture of the film, and recorded frames from one to the next
+FILM, FILM_EVERY = (300, 340), 3  # size of a picture of the film, and recorded frames from one to the next
 GLB_BYTES = 14e6  # that the garment of the animation may take; frames are left out evenly until it does
 
 
@@ -219,7 +220,7 @@ def run_demo(
             picture = draw_moments(truth, evaluation, demo.moments, body.faces)
             save_png(picture_file, picture)
             with replacing(film) as beside:
-                beside.write_bytes(draw_film(truth, evaluation, body.faces))
+                beside.write_bytes(draw_film(truth, evaluation, body.faces, pool))
             _bake(animation, truth, evaluation, body, learned.database.fine_texture)
     sections = newcomer_sections(learned, database, film, picture, time.monotonic() - began)
     write_page(output / "index.html", "A skirt with learned folds", [*sections, *comparison_sections(comparison)])
@@ -292,11 +293,12 @@ def _draw(
     return strip(pictures, list(columns), [f"{recording.frames[index] * run.dt:.1f} s" for index in picked])
 
 
-def draw_film(truth: Truth, evaluation: Evaluation, body_faces: np.ndarray) -> bytes:
+def draw_film(truth: Truth, evaluation: Evaluation, body_faces: np.ndarray, workers: Workers) -> bytes:
     """Coarse, truth and ours side by side, the free run from its start to its end: the bytes of a WebP file.
 
     Args:
         truth, evaluation, body_faces: as for :func:`draw_moments`.
+        workers: that draw.
     """
     coarse, fine, run = truth.levels.coarse.faces, truth.levels.subdivision.faces, truth.run
     columns = {
@@ -305,7 +307,10 @@ def draw_film(truth: Truth, evaluation: Evaluation, body_faces: np.ndarray) -> b
         "ours": (evaluation.free.frames, fine),
     }
     picked = np.arange(0, len(truth.frames), FILM_EVERY)
-    pictures = _pictures(columns, run, truth.recording, picked, body_faces, FILM)
+    jobs = [
+        partial(_pictures, {name: one}, run, truth.recording, picked, body_faces, FILM) for name, one in columns.items()
+    ]
+    pictures = [column for (column,) in workers.run(jobs)]
     shown = [strip([[one] for one in moment], list(columns), [""]) for moment in zip(*pictures, strict=True)]
     return encode_film(shown, 1.0 / (run.dt * run.every * FILM_EVERY))
 

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,10 +32,9 @@ from precompute.wrinkle_comparison.compare_database import RUNS, compare
 from precompute.wrinkle_comparison.comparison import Method, MotionComparison
 from precompute.wrinkle_comparison.comparison_page import draw_methods
 from precompute.wrinkle_comparison.method_figures import figures_of, shared_figures
-from runtime.draw.pictures import encode_image
+from runtime.draw.pictures import save_png
 from runtime.setup.playback_inputs import playback_inputs
 from wrinkles.database_file import read_database
-from wrinkles.decoder import Upsampler
 from wrinkles.mesh_measures import edge_stretch
 from wrinkles.metrics import normal_error_deg
 
@@ -91,10 +91,14 @@ class GarmentBench:
     tried: Mapping[str, Sequence[Tried]]
     missing: Mapping[str, str]
 
+    @property
+    def _ours(self) -> list[Method]:
+        """Wrinkles and plain cloth, those that held."""
+        return [one for one in self.motion.methods if (one.ours or one.mesh) and one.figures]
+
     def cheapest_as_good(self, rival: Method) -> Method | None:
-        """The cheapest of ours, wrinkles or plain cloth, that is as good as a rival by all that is judged at once."""
-        ours = [one for one in self.motion.methods if (one.ours or one.mesh) and one.figures]
-        good = [one for one in ours if not self.ahead(rival, one)]
+        """The cheapest of ours that is as good as a rival by all that is judged at once."""
+        good = [one for one in self._ours if not self.ahead(rival, one)]
         return min(good, key=lambda one: one.frame_ms, default=None)
 
     def ahead(self, rival: Method, one: Method) -> list[str]:
@@ -132,8 +136,7 @@ class GarmentBench:
 
     def _ahead_of_all(self, rival: Method) -> list[str]:
         """By what a rival is ahead of the one of ours that comes nearest to it."""
-        ours = [one for one in self.motion.methods if (one.ours or one.mesh) and one.figures]
-        return min((self.ahead(rival, one) for one in ours), key=len, default=[])
+        return min((self.ahead(rival, one) for one in self._ours), key=len, default=[])
 
 
 def bench_garments(
@@ -178,25 +181,33 @@ def _bench(path: Path, rivals: bool, seconds: float, pool: Workers, tell: Callab
         for name, job in zip(there, jobs, strict=True):
             tried[RIVALS[name].name], found = job.result()
             settings += found
-    tell(f"{database.garment_name}: figures of {len(settings)} rivals")
-    judged = figures_of(truth, [one.method for one in settings])
-    methods = (*motion.methods, *judged)
-    tell(f"{database.garment_name}: body, stretch and crossings")
-    motion = replace(motion, methods=tuple(_with_contact(truth, one) for one in methods))
+    tell(f"{database.garment_name}: figures of {len(settings)} settings of rivals; body, stretch and crossings of all")
+    methods = [*motion.methods, *(one.method for one in settings)]
+    # Each process makes the filters of the mesh once for its share.
+    shares = [methods[first :: pool.count] for first in range(pool.count)]
+    judged = {one.prefix: one for some in pool.run([partial(_judged, truth, one) for one in shares]) for one in some}
+    motion = replace(motion, methods=tuple(judged[one.prefix] for one in methods))
     settings = [one._replace(method=motion.method(one.method.prefix)) for one in settings]
     return GarmentBench(
         database.garment_name, motion, tuple(settings), tried, {name: why for name, why in missing.items() if why}
     )
 
 
-def _with_contact(truth: Truth, method: Method) -> Method:
-    """A method with what its first run says of the body, stretch and crossings."""
-    if not method.runs:
-        return method
-    frames = method.runs[0]
-    some = frames[:: -(-len(frames) // LOOKED)]
-    crossed = float(np.mean([crossed_share(truth.levels.fine, one) for one in some]))
-    return replace(method, figures={**method.figures, **shared_figures(truth, frames), CROSSED: crossed})
+def _judged(truth: Truth, methods: Sequence[Method]) -> list[Method]:
+    """Methods with all figures; those of `gube compare` have most of them already."""
+    fresh = {one.prefix: one for one in figures_of(truth, [one for one in methods if not one.figures])}
+    found = []
+    for one in (fresh.get(one.prefix, one) for one in methods):
+        if not one.runs:
+            found.append(one)
+            continue
+        frames = one.runs[0]
+        some = frames[:: -(-len(frames) // LOOKED)]
+        figures = {CROSSED: float(np.mean([crossed_share(truth.levels.fine, vertices) for vertices in some]))}
+        if STRETCH not in one.figures:
+            figures |= shared_figures(truth, frames)
+        found.append(replace(one, figures={**one.figures, **figures}))
+    return found
 
 
 def _dressing(cloth: Cloth) -> Dressing:
@@ -292,13 +303,7 @@ def _fine(cloth: Cloth, frames: np.ndarray) -> np.ndarray:
     """The smooth fine surface of frames of a simulated mesh."""
     if cloth.levels is None:
         return frames
-    cut = cloth.levels.subdivision
-    upsample, fine = Upsampler(cut), np.zeros((len(frames), cut.fine_count, 3), np.float32)
-    position = np.zeros((frames.shape[1], 4), np.float32)
-    for one, vertices in zip(fine, frames, strict=True):
-        position[:, :3] = vertices
-        upsample(position, one)
-    return fine
+    return cloth.levels.subdivision.upsample(frames).astype(np.float32)
 
 
 def bench_text(bench: GarmentBench) -> str:
@@ -342,7 +347,7 @@ def write_garments(folder: Path, benches: Sequence[GarmentBench]) -> None:
         stem = bench.garment.replace(" ", "_")
         write_png(folder / f"{stem}_chart.png", draw_charts(_charts(bench), 11.0, 8.0))
         picture = draw_methods(bench.motion, [bench.motion.method(one) for one in ("truth_", "")] + bench.shown)
-        (folder / f"{stem}_strip.png").write_bytes(encode_image(picture))
+        save_png(folder / f"{stem}_strip.png", picture)
 
 
 def _charts(bench: GarmentBench) -> dict[str, Chart]:

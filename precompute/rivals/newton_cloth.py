@@ -85,7 +85,7 @@ def _model(dressing: Dressing, solver: str, stretch: float, bend: float, contact
     """The garment and its body, and the mesh of the body, which moves."""
     import newton
 
-    fabric, faces = dressing.fabric, dressing.faces
+    fabric = dressing.fabric
     builder = newton.ModelBuilder(up_axis=newton.Axis.Y, gravity=(0.0, -GRAVITY, 0.0))
     _add_garment(builder, dressing, solver, stretch, bend)
     source = newton.Mesh(dressing.body[0], dressing.body_faces.ravel(), compute_inertia=False)
@@ -104,9 +104,8 @@ def _model(dressing: Dressing, solver: str, stretch: float, bend: float, contact
         lengths[len(lengths) - len(dressing.stitches) :] = 0.0
         if solver == "xpbd":
             lengths[: len(dressing.lengths)] = dressing.lengths
-    if model.edge_count:
-        model.edge_rest_angle.numpy()[:] = 0.0  # cloth is cut flat
-    if solver != "style3d" and model.tri_count == len(faces):
+    model.edge_rest_angle.numpy()[:] = 0.0  # cloth is cut flat
+    if solver != "style3d":  # which has panels
         model.tri_poses.numpy()[:] = np.linalg.inv(dressing.flat)
         model.tri_areas.numpy()[:] = 0.5 * np.abs(np.linalg.det(dressing.flat))
     return model, source
@@ -144,7 +143,7 @@ def _add_garment(builder: Any, dressing: Dressing, solver: str, stretch: float, 
             edge_ke=EQUILATERAL * mean_bend * scale, edge_kd=0.0, **common,
         )  # fmt: skip
     if solver == "xpbd":
-        for (i, j), _ in zip(dressing.edges.tolist(), dressing.lengths, strict=True):
+        for i, j in dressing.edges.tolist():
             builder.add_spring(i, j, 0.75 * float(np.sqrt(warp_ke * weft_ke)), 0.0, 0.0)
     for (v, a, b), weight in zip(dressing.stitches.tolist(), dressing.stitch_weights, strict=True):
         builder.add_spring(v, a if weight < 0.5 else b, STITCH, 0.0, 0.0)

@@ -40,8 +40,8 @@ The cost advantage is the time of the cheapest plain cloth that is as good as ou
 motion, over our time: by the largest error of an octave of wavelengths but the shortest, which holds the noise of the
 mesh; by realism; by normals; by bias and spread of the large motion. As good is no worse than ours or than the floor,
 by more than two standard errors. Where no plain cloth that was tried is as good, the dearest gives a lower bound, "at
-least". One that takes over four times as long as ours in its first frames is too dear and not played on; the cheapest
-of these gives the lower bound. A plain cloth that breaks is not good.
+least". A finer mesh that takes over four times as long as ours in its first frames is too dear and not played on; the
+cheapest of these gives the lower bound. A plain cloth that breaks is not good.
 
 Folding is chaotic. Ours, the truth and the plain cloth that decides are therefore run several times from starts that
 differ by 0.01 mm: figures are means, and the plus or minus is the standard deviation over runs, for large motion the

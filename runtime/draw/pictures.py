@@ -130,18 +130,17 @@ def encode_image(image: np.ndarray, kind: str = "png") -> bytes:
     return buffer.getvalue()
 
 
-def encode_film(pictures: Sequence[np.ndarray], rate: float, quality: int = 80) -> bytes:
+def encode_film(pictures: Sequence[np.ndarray], rate: float) -> bytes:
     """Pictures as the bytes of a WebP file that plays again and again.
 
     Args:
         pictures: each uint8, shape (h, w, 3); all have one size.
         rate: pictures a second [Hz].
-        quality: of WebP [%].
     """
     from PIL import Image
 
     buffer, (first, *others) = io.BytesIO(), [Image.fromarray(np.ascontiguousarray(one)) for one in pictures]
-    settings = {"duration": round(1000.0 / rate), "loop": 0, "quality": quality, "method": 4}
+    settings = {"duration": round(1000.0 / rate), "loop": 0, "quality": 80, "method": 4}
     first.save(buffer, "WEBP", save_all=True, append_images=others, **settings)
     return buffer.getvalue()
 

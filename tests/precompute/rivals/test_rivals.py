@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -136,7 +136,7 @@ def test_a_rival_rests_on_a_body_that_rises_and_holds_what_is_attached(
 ) -> None:
     if RIVALS[name].missing:
         pytest.skip(RIVALS[name].missing)
-    replace(dressing).write(tmp_path / "dressing.npz")
+    dressing.write(tmp_path / "dressing.npz")
     run = play_rival(name, RIVALS[name].first, tmp_path / "dressing.npz", [30], 30, tmp_path / "job")
     assert not run.ended and run.frame_ms > 0.0
     (last,) = run.frames

@@ -127,14 +127,14 @@ def test_every_mesh_of_the_chain_is_a_plain_cloth(database: WrinkleDatabase, tru
     assert counts == sorted(counts)
 
 
-def test_plain_cloth_that_is_too_dear_is_not_played_on(
+def test_a_finer_mesh_that_is_too_dear_is_not_played_on(
     database: WrinkleDatabase, truth: Truth, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(comparing, "DEAR", 0.0)
     methods = comparing._played(database, truth, True, None, Tally(None))
-    plain = [one for one in methods if one.mesh]
-    assert plain and all(one.too_dear and one.frame_ms > 0.0 for one in plain)
-    assert all(len(one.runs[0]) == len(truth.frames) for one in methods if not one.mesh)
+    dear = [one for one in methods if one.mesh not in ("", "coarse")]
+    assert dear and all(one.too_dear and one.frame_ms > 0.0 for one in dear)
+    assert all(len(one.runs[0]) == len(truth.frames) for one in methods if one.mesh in ("", "coarse"))
 
 
 @pytest.mark.parametrize(
