@@ -1,6 +1,6 @@
 """`gube demo`: the whole road on the built-in scene, from nothing to a page with pictures.
 
-The short demo learns from nothing in about five minutes of two cores. The full one learns from more motion with a
+The short demo learns from nothing in about six minutes of two cores. The full one learns from more motion with a
 wider network and compares with more plain cloths; it takes a quarter of an hour.
 """
 
@@ -101,14 +101,14 @@ SHORT = Demo(
         piece_s=0.25,
         free_runs=2,
     ),
-    seconds=(72.0, 88.0, 4.0, 19.0, 3.0, 13.0, 33.0, 75.0, 11.0),
+    seconds=(68.0, 93.0, 4.0, 13.0, 3.0, 12.0, 33.0, 69.0, 36.0),
     moments=2,
     brief=True,
 )
 FULL = Demo(
     DATA / "demo_full.toml",
     LearningOptions(),
-    seconds=(60.0, 80.0, 20.0, 120.0, 20.0, 30.0, 60.0, 180.0, 20.0),
+    seconds=(60.0, 80.0, 20.0, 120.0, 20.0, 30.0, 60.0, 180.0, 45.0),
     moments=4,
     brief=False,
 )

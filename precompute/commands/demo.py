@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--full",
         action="store_true",
-        help="learn from more motion and compare more ways, in a quarter of an hour (default: off, five minutes)",
+        help="learn from more motion and compare more ways, in a quarter of an hour (default: off, six minutes)",
     )
 
 
