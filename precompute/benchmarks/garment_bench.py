@@ -182,11 +182,13 @@ def _bench(path: Path, rivals: bool, seconds: float, pool: Workers, tell: Callab
             tried[RIVALS[name].name], found = job.result()
             settings += found
     tell(f"{database.garment_name}: figures of {len(settings)} settings of rivals; body, stretch and crossings of all")
-    methods = [*motion.methods, *(one.method for one in settings)]
+    # The frames of `gube compare` lie in files that are gone by now: another process cannot open them.
     # Each process makes the filters of the mesh once for its share.
-    shares = [methods[first :: pool.count] for first in range(pool.count)]
-    judged = {one.prefix: one for some in pool.run([partial(_judged, truth, one) for one in shares]) for one in some}
-    motion = replace(motion, methods=tuple(judged[one.prefix] for one in methods))
+    shares = [[one.method for one in settings[first :: pool.count]] for first in range(pool.count)]
+    judged = [_judged(truth, motion.methods), *pool.run([partial(_judged, truth, one) for one in shares if one])]
+    found = {one.prefix: one for some in judged for one in some}
+    order = [one.prefix for one in (*motion.methods, *(one.method for one in settings))]
+    motion = replace(motion, methods=tuple(found[prefix] for prefix in order))
     settings = [one._replace(method=motion.method(one.method.prefix)) for one in settings]
     return GarmentBench(
         database.garment_name, motion, tuple(settings), tried, {name: why for name, why in missing.items() if why}

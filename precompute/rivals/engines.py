@@ -73,10 +73,10 @@ RIVALS: Mapping[str, Rival] = {
     ),
     "vbd": Rival(
         "Newton VBD", "newton", "newton",
-        {"substeps": 4, "iterations": 5, "stretch": 1.0, "bend": 1.0, "contact": 1e3},
+        {"substeps": 8, "iterations": 5, "stretch": 1.0, "bend": 1.0, "contact": 1e3, "searches": 4},
         {
-            "substeps": (2, 4, 8), "iterations": (3, 5, 10), "contact": (1e1, 1e2, 1e3, 1e4), "bend": _SCALES,
-            "stretch": _SCALES,
+            "substeps": (2, 4, 8), "iterations": (2, 3, 5), "contact": (1e2, 1e3, 1e4), "searches": (1, 2, 4, 8),
+            "bend": _SCALES, "stretch": _SCALES,
         },
     ),
     "xpbd": Rival(
@@ -89,9 +89,9 @@ RIVALS: Mapping[str, Rival] = {
     ),
     "mujoco": Rival(
         "MuJoCo flex", "mujoco", "mujoco",
-        {"substeps": 2, "iterations": 20, "stretch": 1.0, "damping": 1e-4},
+        {"substeps": 4, "iterations": 20, "stretch": 1.0, "damping": 1e-4},
         {
-            "substeps": (1, 2, 4), "iterations": (5, 10, 20, 50), "damping": (1e-5, 1e-4, 1e-3), "stretch": _SCALES,
+            "substeps": (2, 4, 8), "iterations": (5, 10, 20, 50), "damping": (1e-5, 1e-4, 1e-3), "stretch": _SCALES,
         },
     ),
 }  # fmt: skip

@@ -17,6 +17,7 @@ from precompute.rivals.dressing import Dressing
 __all__ = ["start_newton"]
 
 GRAVITY = 9.81
+REACH = 0.03  # how deep in the body a vertex is still pushed out [m]; less loses the cloth in a fast stride
 STITCH = 1e4  # stiffness of a stitch [N/m]
 # Bending energy of a lattice of equilateral triangles: half of B times this times the angle squared, for an edge.
 EQUILATERAL = 2.0 * np.sqrt(3.0)
@@ -56,11 +57,13 @@ def start_newton(
     warp.set_device("cpu")
     model, source = _model(dressing, solver, stretch, bend, contact)
     stepper = _stepper(model, solver, dressing, iterations, linear_iterations)
-    pipeline = newton.CollisionPipeline(model, soft_contact_margin=2.0 * dressing.fabric["thickness"] + 0.005)
+    pipeline = newton.CollisionPipeline(model, soft_contact_margin=REACH)
     contacts, control = pipeline.contacts(), model.control()
     states = [model.state(), model.state()]
     shape = source.mesh
     points, velocities = shape.points.numpy(), shape.velocities.numpy()
+    # Particles outside this box are not asked; it is computed once, where the body stands at first.
+    lower, upper = model.shape_collision_aabb_lower.numpy(), model.shape_collision_aabb_upper.numpy()
 
     def step(frame: int) -> None:
         before, after = dressing.body[frame - 1], dressing.body[frame]
@@ -73,6 +76,7 @@ def start_newton(
             states[0].clear_forces()
             if (number - 1) % (-(-substeps // searches)) == 0:
                 points[:] = before + min(1.0, (number - 1) / substeps + 1.0 / searches) * (after - before)
+                lower[0], upper[0] = points.min(axis=0), points.max(axis=0)
                 shape.refit()
                 pipeline.collide(states[0], contacts)
             stepper.step(states[0], states[1], control, contacts, dressing.dt / substeps)
