@@ -81,17 +81,17 @@ RIVALS: Mapping[str, Rival] = {
     ),
     "xpbd": Rival(
         "Newton XPBD", "newton", "newton",
-        {"substeps": 40, "iterations": 1, "stretch": 0.1, "bend": 1.0, "searches": 2},
+        {"substeps": 40, "iterations": 1, "stretch": 0.1, "bend": 1.0, "searches": 10},
         {
             "substeps": (20, 40, 80, 120), "stretch": (0.03, 0.1, 0.3, 1.0), "bend": (0.0, *_SCALES),
-            "searches": (1, 2, 4), "iterations": (1, 2),
+            "searches": (2, 4, 10, 40), "iterations": (1, 2),
         },
     ),
     "mujoco": Rival(
         "MuJoCo flex", "mujoco", "mujoco",
-        {"substeps": 4, "iterations": 20, "stretch": 1.0, "damping": 1e-4},
+        {"substeps": 8, "iterations": 20, "stretch": 1.0, "damping": 1e-4},
         {
-            "substeps": (2, 4, 8), "iterations": (5, 10, 20, 50), "damping": (1e-5, 1e-4, 1e-3), "stretch": _SCALES,
+            "substeps": (4, 8, 16), "iterations": (5, 10, 20, 50), "damping": (1e-5, 1e-4, 1e-3), "stretch": _SCALES,
         },
     ),
 }  # fmt: skip
@@ -138,7 +138,7 @@ def play_rival(
         dressing: file of a :class:`precompute.rivals.dressing.Dressing`.
         keep: numbers of the frames whose vertices are wanted.
         frames: that are played, at most.
-        folder: for what it writes; a new one.
+        folder: for what it writes; a new one, as an absolute path like `dressing`.
     """
     folder.mkdir()
     job, out = folder / "job.json", folder / "out.npz"
@@ -147,7 +147,9 @@ def play_rival(
     command = [sys.executable, "-m", "precompute.rivals.worker", str(job)]
     root = str(Path(__file__).resolve().parents[2])
     paths = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
-    ran = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": paths}, check=False)
+    environment = {**os.environ, "PYTHONPATH": paths}
+    # MuJoCo writes its warnings into the folder in which it runs.
+    ran = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=folder, check=False)
     if ran.returncode or not out.exists():
         count = len(Dressing.read(dressing).start)
         words = (ran.stderr.strip().splitlines() or ["no message"])[-1]
