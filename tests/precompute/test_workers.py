@@ -119,4 +119,4 @@ def test_who_is_ended_ends_its_processes_at_once(monkeypatch: pytest.MonkeyPatch
     with pytest.raises(KeyboardInterrupt):
         run_jobs([partial(_late, 300.0, 0), partial(_late, 300.0, 1)], 2, meanwhile=interrupted)
     assert time.monotonic() - began[0] < 60.0
-    assert set(active_children()) == before
+    assert not set(active_children()) - before  # those of an earlier test may have ended in between
