@@ -45,10 +45,10 @@ def bake_glb(
 
     The garment's travel and turn as a whole are its node's. The weight of the target of frame k rises from 0 to 1
     between the key times of frames k - 1 and k and falls again until that of frame k + 1, so a player at any rate sees
-    linear interpolation of what is left. It is stored as 16-bit deltas of positions from the first frame and 8-bit
-    deltas of normals from their mean (KHR_mesh_quantization): 12 bytes a vertex and frame. Positions are exact to
-    0.03 mm while no vertex moves by more than 1 m against the whole, and to 1 / 32767 of that movement beyond; normals
-    to a quarter of a degree in the mean.
+    linear interpolation of what is left. It is stored as 16-bit deltas of positions and 8-bit deltas of
+    normals from the first frame (KHR_mesh_quantization): 12 bytes a vertex and frame. Positions are exact to 0.03 mm
+    while no vertex moves by more than 1 m against the whole, and to 1 / 32767 of that movement beyond; normals to a
+    quarter of a degree in the mean, less exactly where one has turned by more than 90 degrees since the first frame.
 
     A character is stored as a skinned mesh whose joints move: some hundred bytes a joint and frame. A vertex sequence
     is stored as the garment is.

@@ -79,7 +79,8 @@ class GlbFile:
         local, normals = local[:, source], normals[:, source]
         delta = local - local[0]
         scale = max(1.0, float(np.abs(delta).max(initial=0.0)))
-        base_normals = _BASE_NORMAL_LENGTH * _mean_normals(normals)
+        # Blender lights a mesh by its base normals, which it turns with the faces, and reads no others.
+        base_normals = (_BASE_NORMAL_LENGTH * normals[0]).astype(np.float32)
         positions = _quantized(delta / scale, np.int16)
         normals = _quantized(_normal_deltas(base_normals, normals), np.int8)
         attributes = gl.Attributes(
@@ -301,13 +302,6 @@ def _without_jumps(rotation: np.ndarray) -> np.ndarray:
     against = np.einsum("...a,...a->...", rotation[1:], rotation[:-1]) < 0.0
     signs = np.where(np.cumsum(against, axis=0) % 2 == 1, -1.0, 1.0)
     return np.concatenate([rotation[:1], rotation[1:] * signs[..., None]])
-
-
-def _mean_normals(normals: np.ndarray) -> np.ndarray:
-    """Unit normals between those of all frames, shape (n, 3), float32; the first frame's where these cancel out."""
-    total = normals.mean(axis=0)
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    return np.where(length > 0.1, total / np.maximum(length, 1e-9), normals[0]).astype(np.float32)
 
 
 def _normal_deltas(base: np.ndarray, normals: np.ndarray) -> np.ndarray:

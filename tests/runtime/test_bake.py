@@ -160,11 +160,11 @@ def test_normals_of_a_garment_that_turns_right_round_are_kept(tmp_path):
     assert max(angles_deg(read.at(k / 30.0)[1], normals[k]).max() for k in range(len(frames))) < 1.0
 
 
-def test_normals_far_from_their_mean_are_kept(tmp_path):
+def test_normals_far_from_the_first_are_kept(tmp_path):
     """By up to 90 degrees; beyond, a normal is shortened to fit and loses digits."""
     faces, frames = waving_sheet(frame_count=9, turn_deg=0.0)
     frames[:] = frames[0]
-    angle = np.radians(np.linspace(-90.0, 90.0, 9))
+    angle = np.radians(np.linspace(0.0, 90.0, 9))
     normals = np.stack([np.sin(angle), np.zeros(9), np.cos(angle)], axis=1)[:, None].repeat(frames.shape[1], axis=1)
     bake_glb(tmp_path / "a.glb", faces, frames, 10.0, normals=normals)
     read = Read(tmp_path / "a.glb")
