@@ -182,6 +182,10 @@ VALIDATION_COLUMNS = (
     "test", "params", "solver", "reference", "measured", "error", "gate_best", "passed_best", "default_error",
     "gate_realtime", "passed_realtime",
 )  # fmt: skip
+GARMENT_COLUMNS = (
+    "method", "frame_ms", "worst octave", "normals [deg]", "bias", "spread", "stretch [%]", "in body [%]",
+    "crossed [%]", "ours as good", "its ms", "its share", "rival ahead by", "ended",
+)  # fmt: skip
 SOLVER_COLUMNS = ("side", "method", "substeps", "frame_ms", "mean_stretch", "worst_stretch", "amplitude_ratio")
 
 
@@ -200,12 +204,26 @@ def other_engines_page() -> str:
     ]
     tables = {
         "BENCH SOLVER": [*_table(solver, SOLVER_COLUMNS), "", machine],
+        "BENCH GARMENT": _garments(ROOT / "docs" / "bench-garment"),
         "BENCH STRESS": _table(stress, tuple(stress[0])),
     }
     for name, lines in tables.items():
         assert f"<!-- {name} -->" in text, f"docs/other-engines.md has no place for {name}"
         text = text.replace(f"<!-- {name} -->", "\n".join(lines))
     return text
+
+
+def _garments(folder: Path) -> list[str]:
+    """The tables that `gube bench garment` wrote, its charts and pictures."""
+    lines = []
+    for chart in sorted(folder.glob("*_chart.png")):
+        stem = chart.name.removesuffix("_chart.png")
+        with open(folder / f"{stem}.csv", encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+        lines += ["", f"### {rows[0]['garment']}", ""]
+        lines += [f"![{what} of {stem}]({folder.name}/{stem}_{what}.png)\n" for what in ("chart", "strip")]
+        lines += [*_table(rows, GARMENT_COLUMNS), "", f"Written on {rows[0]['cpu']}, {rows[0]['date'][:10]}."]
+    return lines
 
 
 def gallery_page() -> str:

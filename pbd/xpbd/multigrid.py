@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import reverse_cuthill_mckee
+from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from pbd.fabric import Fabric
 from pbd.mesh import ClothMesh, edges_of, greedy_colors
@@ -217,8 +217,7 @@ def _patches(level: _Level) -> tuple[np.ndarray, np.ndarray]:
     closely; the heaviest vertices come first.
     """
     edges, count = level.edges, len(level.mass)
-    graph = csr_matrix((np.ones(len(edges), np.int8), edges.T), (count, count))
-    order = reverse_cuthill_mckee(graph, symmetric_mode=True)
+    order = _order_through(edges, count)
     order = order[np.argsort(-np.floor(np.log10(level.mass[order])), kind="stable")]
     ends = np.searchsorted(edges[:, 0], np.arange(count + 1)).tolist()
     others = edges[:, 1].tolist()
@@ -235,6 +234,20 @@ def _patches(level: _Level) -> tuple[np.ndarray, np.ndarray]:
             around = [first[other] for other in others[ends[vertex] : ends[vertex + 1]] if first[other] >= 0]
             patch[vertex] = max(set(around), key=lambda name: (around.count(name), -name))
     return np.array(patch), np.array(roots)
+
+
+def _order_through(edges: np.ndarray, count: int) -> np.ndarray:
+    """Vertices in the order of fronts that go through the mesh (reverse Cuthill-McKee), int, shape (n,).
+
+    SciPy has the same order but for vertices with as many neighbours: theirs depends on the processor.
+    """
+    by_degree = np.argsort(np.bincount(edges[:, 0], minlength=count), kind="stable")
+    place = np.argsort(by_degree)
+    graph = csr_matrix((np.ones(len(edges), np.int8), place[edges].T), (count, count))
+    graph.sort_indices()
+    starts = np.unique(connected_components(graph, directed=False)[1], return_index=True)[1]
+    orders = [breadth_first_order(graph, start, return_predecessors=False) for start in np.sort(starts)]
+    return by_degree[np.concatenate(orders)][::-1]
 
 
 def _coarser(level: _Level, patch: np.ndarray, roots: np.ndarray) -> tuple[_Level, np.ndarray]:

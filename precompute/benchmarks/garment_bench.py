@@ -330,23 +330,22 @@ def bench_text(bench: GarmentBench) -> str:
 
 
 def write_garments(folder: Path, benches: Sequence[GarmentBench]) -> None:
-    """Write ``garment.csv``, ``garment_tries.csv`` and of each garment a chart and a strip of pictures.
+    """Write of each garment ``NAME.csv``, ``NAME_tries.csv``, a chart and a strip of pictures.
 
     Args:
         folder: which exists.
         benches: what was found.
     """
-    write_table(folder / "garment.csv", [row for one in benches for row in one.rows()], digits=4, machine=True)
-    tries = [
-        {"garment": bench.garment, "engine": name, "frame_ms": one.frame_ms, "error": one.error, "ended": one.ended}
-        | {"settings": " ".join(f"{key} {value:g}" for key, value in one.settings.items())}
-        for bench in benches
-        for name, some in bench.tried.items()
-        for one in some
-    ]
-    write_table(folder / "garment_tries.csv", tries, digits=4, machine=True)
     for bench in benches:
         stem = bench.garment.replace(" ", "_")
+        write_table(folder / f"{stem}.csv", bench.rows(), digits=4, machine=True)
+        tries = [
+            {"engine": name, "frame_ms": one.frame_ms, "error": one.error, "ended": one.ended}
+            | {"settings": " ".join(f"{key} {value:g}" for key, value in one.settings.items())}
+            for name, some in bench.tried.items()
+            for one in some
+        ]
+        write_table(folder / f"{stem}_tries.csv", tries, digits=4, machine=True)
         write_png(folder / f"{stem}_chart.png", draw_charts(_charts(bench), 11.0, 8.0))
         picture = draw_methods(bench.motion, [bench.motion.method(one) for one in ("truth_", "")] + bench.shown)
         save_png(folder / f"{stem}_strip.png", picture)

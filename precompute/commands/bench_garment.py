@@ -20,7 +20,7 @@ SUMMARY = "play garments on their moving bodies by other engines beside ours: ti
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     parser.add_argument("databases", nargs="+", type=Path, metavar="DB.h5", help="databases of the garments")
-    add_output_folder(parser, "out/bench", "a folder for garment.csv, garment_tries.csv, charts and pictures")
+    add_output_folder(parser, "out/bench", "a folder for tables (NAME.csv, NAME_tries.csv), charts and pictures")
     parser.add_argument(
         "--rivals",
         action="store_true",
@@ -51,5 +51,5 @@ def run(options: argparse.Namespace) -> Report:
     options.output.mkdir(parents=True, exist_ok=True)
     write_garments(options.output, benches)
     say("\n\n".join(bench_text(one) for one in benches))
-    say(f"\n{options.output / 'garment.csv'}")
+    say(f"\nwritten to {options.output}")
     return Report({}, [row for one in benches for row in one.rows()])

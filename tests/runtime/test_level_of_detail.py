@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pbd import InputError
+from precompute.learning.run_recording import move_start
 from runtime.play.game_loop import GameLoop, LiveInput
 from runtime.play.level_of_detail import LevelOfDetail
 from runtime.play.player import FADE, Player
@@ -178,23 +179,31 @@ def test_the_mesh_below_goes_on_from_where_the_garment_was_and_back(player: Play
     assert np.isfinite(player.vertices).all()
 
 
-def test_the_mesh_below_follows_the_body_and_hangs_as_low(player: Player, poses: np.ndarray) -> None:
-    other = Player(skirt_database(), skirt_stage().body, poses[0])
-    player.change(LevelOfDetail(1, 6, 0, 0, 1))
+def test_the_mesh_below_follows_the_body_and_hangs_as_low(poses: np.ndarray) -> None:
+    """Beside the coarse mesh with substeps enough; folds are chance, so that the median of several starts is asked."""
     far = np.array([0.0, 0.0, 7.3])  # the origin goes along
-    low = []
-    for tick, pose in enumerate(poses[1:121]):
-        pose = pose.copy()
-        pose[:, :, 3] += far * tick / 120.0
-        for one in (player, other):
-            one.update(pose, DT)
-        assert np.array_equal(player.origin, player.simulation.body.origin)
-        low.append([world(one)[:, 1].mean() for one in (player, other)])
-    assert player.origin[2] > 5.0
+    found = []
+    for start in range(3):
+        below, other = (Player(skirt_database(), skirt_stage().body, poses[0]) for _ in range(2))
+        for one in (below, other):
+            move_start(one.simulation.state, start)
+        below.change(LevelOfDetail(1, 6, 0, 0, 1))
+        other.change(replace(other.full, substeps=24))
+        low = []
+        for tick, pose in enumerate(poses[1:121]):
+            pose = pose.copy()
+            pose[:, :, 3] += far * tick / 120.0
+            for one in (below, other):
+                one.update(pose, DT)
+            assert np.array_equal(below.origin, below.simulation.body.origin)
+            low.append([world(one)[:, 1].mean() for one in (below, other)])
+        assert below.origin[2] > 5.0
+        gaps = np.abs(np.diff(np.array(low), axis=1)).ravel()
+        away = np.percentile(np.linalg.norm(world(below) - world(other), axis=1), 95)
+        found.append([gaps[30:].max(), gaps[60:].mean(), away])
     # At 3.6 m/s the skirt flies, and folds shorter than the edges of the mesh below are lost: 22 mm in the beginning.
-    gaps = np.abs(np.diff(np.array(low), axis=1)).ravel()
-    assert gaps[30:].max() < 0.03 and gaps[60:].mean() < 0.01
-    assert np.percentile(np.linalg.norm(world(player) - world(other), axis=1), 95) < 0.08
+    worst, mean, away = np.median(found, axis=0)
+    assert worst < 0.03 and mean < 0.01 and away < 0.08
 
 
 def test_a_drag_holds_on_the_mesh_below(player: Player, poses: np.ndarray) -> None:

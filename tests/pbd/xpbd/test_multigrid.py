@@ -1,5 +1,8 @@
 """Patches from coarse to fine: what they are made of, and what they do to the cloth's physics."""
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -239,3 +242,26 @@ def test_more_than_patches_may_give_is_left_to_the_membranes() -> None:
     edges, rest = model.mesh.edge_lengths()
     x = state.world()
     assert np.linalg.norm(x[edges[:, 0]] - x[edges[:, 1]], axis=1).max() < 1.3 * rest.max()  # without patches 1.2
+
+
+PATCHES = """
+from assets.loading import load_garment
+from pbd import Fabric
+from pbd.xpbd.multigrid import build_multigrid
+from tests.pbd.meshes import cloth, free_model
+skirt = load_garment("builtin:skirt")
+model = free_model(cloth(skirt.vertices, skirt.faces), Fabric())
+print(build_multigrid(model.mesh, model.mass, model.inverse_mass, model.fabric).parent.tolist())
+"""
+
+
+def test_patches_are_the_same_on_every_processor() -> None:
+    """NumPy sorts equal numbers in another order where it has AVX-512."""
+    made = set()
+    for without in ("", "X86_V4 AVX512_ICL AVX512_SPR"):
+        environment = {**os.environ, "NPY_DISABLE_CPU_FEATURES": without}
+        ran = subprocess.run(
+            [sys.executable, "-c", PATCHES], env=environment, capture_output=True, text=True, check=True
+        )
+        made.add(ran.stdout)
+    assert len(made) == 1
