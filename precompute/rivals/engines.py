@@ -21,6 +21,7 @@ from precompute.rivals.dressing import Dressing
 __all__ = ["RIVALS", "Rival", "RivalRun", "Tried", "for_quality", "for_speed", "play_rival", "search_settings"]
 
 TRIES = 12  # settings that a search looks at, at most
+START_S, FRAME_S = 60.0, 1.0  # that a run may take for its start and for a frame, by the clock [s]
 SPEED_ERROR = 1.3  # error of the setting for speed over the lowest, at most
 
 
@@ -148,12 +149,17 @@ def play_rival(
     root = str(Path(__file__).resolve().parents[2])
     paths = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = {**os.environ, "PYTHONPATH": paths}
-    # MuJoCo writes its warnings into the folder in which it runs.
-    ran = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=folder, check=False)
-    if ran.returncode or not out.exists():
-        count = len(Dressing.read(dressing).start)
+    longest = START_S + FRAME_S * frames
+    try:
+        # MuJoCo writes its warnings into the folder in which it runs.
+        ran = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=folder, timeout=longest)
         words = (ran.stderr.strip().splitlines() or ["no message"])[-1]
-        return RivalRun(np.zeros((0, count, 3), np.float32), math.nan, f"ended with status {ran.returncode}: {words}")
+        ended = f"ended with status {ran.returncode}: {words}" if ran.returncode or not out.exists() else ""
+    except subprocess.TimeoutExpired:
+        ended = f"given up: not played after {longest:.0f} s"
+    if ended:
+        count = len(Dressing.read(dressing).start)
+        return RivalRun(np.zeros((0, count, 3), np.float32), math.nan, ended)
     with np.load(out) as file:
         times = file["times"]
         return RivalRun(file["frames"], float(np.median(times[len(times) // 2 :])), str(file["ended"]))

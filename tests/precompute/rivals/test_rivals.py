@@ -14,7 +14,7 @@ import pytest
 from pbd import ClothMesh, Fabric
 from pbd.mesh import lattice_faces
 from precompute.experiment.sheets import lattice
-from precompute.rivals import worker
+from precompute.rivals import engines, worker
 from precompute.rivals.dressing import Dressing
 from precompute.rivals.engines import (
     RIVALS,
@@ -58,6 +58,16 @@ def test_a_dressing_survives_its_file(dressing: Dressing, tmp_path: Path) -> Non
     for name, value in vars(dressing).items():
         assert np.array_equal(getattr(found, name), value), name
     assert found.frame_count == 30 and found.edge == pytest.approx(dressing.lengths.mean())
+
+
+def test_a_run_that_takes_too_long_is_given_up(
+    dressing: Dressing, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dressing.write(tmp_path / "dressing.npz")
+    monkeypatch.setattr(engines, "START_S", 0.0)
+    monkeypatch.setattr(engines, "FRAME_S", 1e-3)
+    run = play_rival("blender", {}, tmp_path / "dressing.npz", [1], 30, tmp_path / "run")
+    assert run.ended == "given up: not played after 0 s" and not len(run.frames)
 
 
 def rival(ladders: Mapping[str, tuple[float, ...]], **first: float) -> Rival:
