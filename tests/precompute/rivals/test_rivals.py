@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -154,3 +154,39 @@ def test_a_rival_rests_on_a_body_that_rises_and_holds_what_is_attached(
     top = dressing.body[-1, :, 1].max()  # further up than an engine looks around where the body was at first
     assert top - 0.01 < last[over, 1].min() and last[over, 1].max() < top + 0.03
     assert np.abs(last[0] - dressing.targets[-1, 0]).max() < 0.02
+
+
+# Of each engine whose stiffness has units, settings with which it is near its own solution.
+CONVERGED = {
+    "style3d": {"substeps": 2, "iterations": 8, "linear_iterations": 50},
+    "vbd": {"substeps": 8, "iterations": 20},
+    "xpbd": {"substeps": 160, "stretch": 1.0},
+    "mujoco": {"substeps": 8},
+}
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize("name", CONVERGED)
+def test_a_hanging_strip_is_as_long_as_its_fabric_asks(name: str, tmp_path: Path, dressing: Dressing) -> None:
+    """Its own weight draws a strip of length L out by g rho L / (2 E h) of its length."""
+    if RIVALS[name].missing:
+        pytest.skip(RIVALS[name].missing)
+    rows, step, frames = 11, 0.02, 150
+    fabric = replace(Fabric(), stretch_warp=40.0, stretch_weft=40.0, shear=20.0, poisson=0.0)
+    index, across, down = lattice(4, rows)
+    vertices = np.stack([step * across, 1.0 - step * down, np.zeros(across.shape)], axis=1)
+    mesh = ClothMesh.from_surface(vertices, lattice_faces(index, alternating=True))
+    held, far = np.flatnonzero(down == 0), dressing.body[:1] + np.float32(5.0)
+    strip = replace(
+        dressing, faces=mesh.faces, flat=mesh.flat, edges=mesh.edge_lengths()[0], lengths=mesh.edge_lengths()[1],
+        mass=fabric.areal_density * mesh.vertex_areas, start=vertices, rest=vertices, held=held,
+        targets=vertices[held][None].repeat(frames + 1, axis=0), body=far.repeat(frames + 1, axis=0),
+        fabric=asdict(fabric),
+    )  # fmt: skip
+    strip.write(tmp_path / "strip.npz")
+    settings = {**RIVALS[name].first, **CONVERGED[name]}
+    run = play_rival(name, settings, tmp_path / "strip.npz", list(range(91, frames + 1)), frames, tmp_path / "job")
+    assert not run.ended
+    length = step * (rows - 1)
+    drawn = (vertices[down == rows - 1, 1].mean() - run.frames[:, down == rows - 1, 1].mean()) / length
+    assert drawn == pytest.approx(9.81 * fabric.areal_density * length / (2.0 * fabric.stretch_warp), rel=0.15)
