@@ -141,7 +141,9 @@ def _add_garment(builder: Any, dressing: Dressing, solver: str, stretch: float, 
     else:
         # Young's modulus and Poisson's ratio in plane stress, as Lame's numbers of an isotropic sheet.
         modulus, poisson = float(np.sqrt(warp_ke * weft_ke)), fabric["poisson"]
-        scale = 1.0 / dressing.edge if solver == "vbd" else 1.0  # VBD multiplies by the length of the edge
+        # VBD multiplies by the length of the edge. XPBD's gradient of an angle is the edge times the height of a face
+        # too large, and so is its force.
+        scale = 1.0 / (dressing.edge if solver == "vbd" else 0.5 * np.sqrt(3.0) * dressing.edge**2)
         builder.add_cloth_mesh(
             tri_ke=modulus / (2.0 * (1.0 + poisson)), tri_ka=modulus * poisson / (1.0 - poisson**2), tri_kd=0.0,
             edge_ke=EQUILATERAL * mean_bend * scale, edge_kd=0.0, **common,

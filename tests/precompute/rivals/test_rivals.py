@@ -190,3 +190,30 @@ def test_a_hanging_strip_is_as_long_as_its_fabric_asks(name: str, tmp_path: Path
     length = step * (rows - 1)
     drawn = (vertices[down == rows - 1, 1].mean() - run.frames[:, down == rows - 1, 1].mean()) / length
     assert drawn == pytest.approx(9.81 * fabric.areal_density * length / (2.0 * fabric.stretch_warp), rel=0.15)
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize("name", ["style3d", "vbd", "xpbd"])
+def test_two_faces_bend_as_their_fabric_asks(name: str, tmp_path: Path, dressing: Dressing) -> None:
+    """Equilateral faces of rigidity B have the energy sqrt(3) B angle^2 at their edge; MuJoCo bends in another way."""
+    if RIVALS[name].missing:
+        pytest.skip(RIVALS[name].missing)
+    side, asked, frames = 0.02, 0.2, 200
+    height = 0.5 * math.sqrt(3.0) * side
+    vertices = np.array([[0.0, 0.0, 0.0], [side, 0.0, 0.0], [0.5 * side, 0.0, height], [0.5 * side, 0.0, -height]])
+    mesh = ClothMesh.from_surface(vertices, np.array([[0, 2, 1], [0, 1, 3]], np.int32))
+    fabric, held = replace(Fabric(), bend_warp=1e-3, bend_weft=1e-3), np.array([0, 1, 3])
+    far = dressing.body[:1] + np.float32(5.0)
+    # The weight's moment at the asked angle, which the free vertex swings about.
+    mass = 2.0 * math.sqrt(3.0) * fabric.bend_warp * asked / (9.81 * height * math.cos(asked))
+    pair = replace(
+        dressing, faces=mesh.faces, flat=mesh.flat, edges=mesh.edge_lengths()[0], lengths=mesh.edge_lengths()[1],
+        mass=np.full(4, mass), start=vertices, rest=vertices, held=held,
+        targets=vertices[held][None].repeat(frames + 1, axis=0), body=far.repeat(frames + 1, axis=0),
+        fabric=asdict(fabric),
+    )  # fmt: skip
+    pair.write(tmp_path / "pair.npz")
+    settings = {**RIVALS[name].first, **CONVERGED[name]}
+    run = play_rival(name, settings, tmp_path / "pair.npz", list(range(101, frames + 1)), frames, tmp_path / "job")
+    assert not run.ended
+    assert np.arctan2(-run.frames[:, 2, 1], run.frames[:, 2, 2]).mean() == pytest.approx(asked, rel=0.1)
