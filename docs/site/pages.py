@@ -234,7 +234,7 @@ def gallery_page() -> str:
     for note in notes:
         lines += ["", f"## {note['title']}", "", f"![{note['title']}](gallery/{note['file']})", "", note["words"]]
     if not lines:
-        lines = ["", "Films are made by `make gallery`, which takes a quarter of an hour; `make docs` then shows them here."]
+        lines = ["", "Films are made by `make gallery`, which takes 15 minutes; `make docs` then shows them here."]
     return text.rstrip("\n") + "\n" + "\n".join(lines) + "\n"
 
 
