@@ -46,8 +46,9 @@ SEARCHED = 1.0  # motion that a setting is tried on after the garment has settle
 LOOKED = 24  # frames in which crossings are counted, at most
 HEAP = 500  # faces whose boxes overlap a face's in the mean from which all cross: to count them takes minutes
 STIFFENED, DAMPED, RESTED = 30.0, 5.0, 60  # bending over the fabric's, damping [1/s] and frames of the rest shape
+LOST = 100.0  # stretch from which a chart leaves a cloth out: it has burst or lies in a heap [%]
 JUDGED = ("octaves", "normals", "bias", "spread")  # errors by which ours must be as good as a rival, beside the stretch
-STRETCH, CROSSED, INSIDE = "edge_stretch_p99_percent", "crossed_faces_percent", "inside_body_percent_with_room"
+STRETCH, CROSSED, INSIDE = "edge_stretch_p99_percent", "crossed_faces_percent", "inside_body_with_room_percent"
 _COLUMNS = {
     "worst octave": "octave_error_max",
     "normals [deg]": "free_normal_error_deg",
@@ -370,7 +371,9 @@ def _charts(bench: GarmentBench) -> dict[str, Chart]:
         engines = {one.method.prefix: one.engine for one in bench.rivals}
         for method in bench.motion.methods:
             value = method.figures.get(_COLUMNS[name], math.nan)
-            if method.prefix in ("truth_", "floor_") or not math.isfinite(value) or not math.isfinite(method.frame_ms):
+            if method.prefix in ("truth_", "floor_") or not math.isfinite(value + method.frame_ms):
+                continue
+            if method.figures[STRETCH] > LOST:
                 continue
             group = engines.get(method.prefix, "gube, wrinkles" if method.ours else "gube, plain cloth")
             points.append(Point(method.frame_ms, value, group, settings=method.settings))

@@ -8,6 +8,7 @@ from typing import cast
 import numpy as np
 import pytest
 
+from pbd.distance import penetration_figures
 from precompute.benchmarks.garment_bench import CROSSED, INSIDE, STRETCH, GarmentBench, RivalSetting, bench_text
 from precompute.learning.truth import Truth
 from precompute.wrinkle_comparison.comparison import ERRORS, Method, MotionComparison
@@ -83,3 +84,7 @@ def test_what_stopped_a_rival_and_what_is_missing_is_said() -> None:
     stopped = Method("rival_", "Blender for speed, 9,552", 700.0, {}, {})
     text = bench_text(bench(stopped, some("", 8.0, 0.2), ended="given up: 700 ms a frame"))
     assert "given up: 700 ms a frame" in text and "MuJoCo flex: not installed" in text
+
+
+def test_the_share_inside_the_body_is_one_that_is_measured() -> None:
+    assert INSIDE in penetration_figures(np.zeros(3), np.ones(3, bool))
