@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
 import pytest
 
+from pbd import ClothMesh
 from pbd.distance import penetration_figures
-from precompute.benchmarks.garment_bench import CROSSED, INSIDE, STRETCH, GarmentBench, RivalSetting, bench_text
+from precompute.benchmarks.garment_bench import (
+    CROSSED,
+    INSIDE,
+    STRETCH,
+    GarmentBench,
+    RivalSetting,
+    _crossed,
+    bench_text,
+)
 from precompute.learning.truth import Truth
 from precompute.wrinkle_comparison.comparison import ERRORS, Method, MotionComparison
+from tests.wrinkles.meshes import flat_sheet
 
 
 def some(
@@ -88,3 +99,11 @@ def test_what_stopped_a_rival_and_what_is_missing_is_said() -> None:
 
 def test_the_share_inside_the_body_is_one_that_is_measured() -> None:
     assert INSIDE in penetration_figures(np.zeros(3), np.ones(3, bool))
+
+
+def test_cloth_in_a_heap_crosses_wholly_and_smooth_cloth_nowhere() -> None:
+    vertices, faces = flat_sheet(25, 1.0)
+    truth = cast(Truth, SimpleNamespace(levels=SimpleNamespace(fine=ClothMesh.from_surface(vertices, faces))))
+    heap = 1e-3 * np.random.default_rng(0).random(vertices.shape)
+    assert _crossed(truth, vertices[None].astype(np.float32)) == 0.0
+    assert _crossed(truth, np.array([vertices, heap], np.float32)) == 50.0
