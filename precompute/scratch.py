@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["PREFIX", "Tally", "scratch_folder"]
+__all__ = ["PREFIX", "UNCOUNTED", "Tally", "scratch_folder"]
 
 PREFIX = "gube-"  # of the folders' names
 _IN_USE = "in-use"  # the file that the process which made the folder holds locked as long as it lives
@@ -66,3 +66,7 @@ class Tally:
     def count(self) -> int:
         """How many were counted."""
         return self.path.stat().st_size if self.path is not None and self.path.exists() else 0
+
+
+UNCOUNTED = Tally(None)
+"""Where nobody asks how far it has come."""

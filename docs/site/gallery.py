@@ -127,7 +127,7 @@ def worn(title: str, name: str, *garments: tuple[str, str], cuts: int = 1) -> Fi
 
 def in_fabrics() -> Film:
     """One skirt in three fabrics."""
-    motion, fabrics = clip("twirl"), ("silk", "denim", "blanket_228")
+    motion, fabrics = clip("twirl"), ("silk", "denim", "jersey")
     columns = {
         fabric: filmed(simulated(("circle_skirt", fabric)), lambda t: gube.LiveInput(motion.pose(t)))
         for fabric in fabrics
@@ -138,15 +138,16 @@ def in_fabrics() -> Film:
 def pulled() -> Film:
     """A hem that is led around."""
     skirt, motion = simulated(("circle_skirt", "wool")), clip("sway")
-    hem = int(skirt.vertices[:, 1].argmin())
+    lowest = np.flatnonzero(skirt.vertices[:, 1] < skirt.vertices[:, 1].min() + 0.03)
+    hem = int(lowest[skirt.vertices[lowest, 2].argmax()])  # in front, where neither legs nor hands are in the way
     start = skirt.vertices[hem].copy()
 
     def live_input(t: float) -> gube.LiveInput:
-        turn = 2.0 * pi * (t % 5.0) / 3.0
-        way = 0.2 * np.array([sin(turn), 1.0 - cos(turn), 0.5 * sin(turn)])
-        return gube.LiveInput(motion.pose(t), drag=(hem, start + way) if t % 5.0 < 3.0 else None)
+        turn = 2.0 * pi * t / 3.0
+        way = 0.2 * np.array([sin(turn), 0.7 * (1.0 - cos(turn)), 1.0 - cos(turn)])
+        return gube.LiveInput(motion.pose(t), drag=(hem, start + way) if t < 6.0 else None)
 
-    words = "A vertex at the hem is led around for three seconds and let go, twice (`gube.LiveInput`)."
+    words = "A vertex of the hem is led around twice and let go after six seconds (`gube.LiveInput`)."
     return Film("A skirt that is pulled at its hem", words, {"": filmed(skirt, live_input)})
 
 
@@ -194,10 +195,11 @@ FILMS: Mapping[str, Callable[[], Film]] = {
 def draw(film: Film) -> list[np.ndarray]:
     """The pictures of a film."""
     size = NARROW if len(film.columns) > 1 else SIZE
+    everything = np.concatenate([column.frames[0] for column in film.columns.values()], axis=1)
+    cameras = frame_camera(everything, aspect=size[0] / size[1], margin=1.2)  # one size in all columns
     rows = []
     for column in film.columns.values():
         (garments, bodies), (faces, body_faces) = column.frames, column.faces
-        cameras = frame_camera(garments, aspect=size[0] / size[1], margin=1.2)
         rows.append(
             [
                 render([Drawn.body(body, body_faces), *Drawn.garments(one, faces, None, column.layer)], camera, size)

@@ -223,6 +223,8 @@ def _garments(folder: Path) -> list[str]:
         lines += ["", f"### {rows[0]['garment']}", ""]
         lines += [f"![{what} of {stem}]({folder.name}/{stem}_{what}.png)\n" for what in ("chart", "strip")]
         lines += [*_table(rows, GARMENT_COLUMNS), "", f"Written on {rows[0]['cpu']}, {rows[0]['date'][:10]}."]
+        with open(folder / f"{stem}_within.csv", encoding="utf-8", newline="") as file:
+            lines += ["", *_table(list(csv.DictReader(file)), ("within [ms]", "engine", *GARMENT_COLUMNS))]
     return lines
 
 

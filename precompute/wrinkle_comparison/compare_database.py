@@ -17,7 +17,7 @@ from precompute.learning.pipeline import default_cache, precompute
 from precompute.learning.run_recording import Run
 from precompute.learning.stages import counted
 from precompute.learning.truth import SETTLE, Truth, database_run, truth_of
-from precompute.scratch import Tally, scratch_folder
+from precompute.scratch import UNCOUNTED, Tally, scratch_folder
 from precompute.workers import Workers
 from precompute.wrinkle_comparison.baselines import (
     TURN,
@@ -51,6 +51,7 @@ __all__ = [
     "database_of",
     "described",
     "plain_methods",
+    "run_again",
     "write_choice",
 ]
 
@@ -111,7 +112,7 @@ def compare(
             frames = len(some) * sum(one.truth.run.frame_count for one in found.motions)
             tell(line)
             jobs = [
-                partial(_again, database, one.truth, one.method(prefix), brief, folder, tally)
+                partial(run_again, database, one.truth, one.method(prefix), brief=brief, folder=folder, tally=tally)
                 for prefix in some
                 for one in found.motions
             ]
@@ -177,10 +178,25 @@ def _starts(brief: bool) -> range:
     return range(1, BRIEF_RUNS if brief else RUNS)
 
 
-def _again(
-    database: WrinkleDatabase, truth: Truth, method: Method, brief: bool, folder: Path | None, tally: Tally
+def run_again(
+    database: WrinkleDatabase,
+    truth: Truth,
+    method: Method,
+    *,
+    brief: bool = False,
+    folder: Path | None = None,
+    tally: Tally = UNCOUNTED,
 ) -> Method:
-    """A plain cloth in several runs, with its figures."""
+    """A plain cloth in several runs, with its figures.
+
+    Args:
+        database: what was learned.
+        truth: of the motion.
+        method: a plain cloth, with its first run.
+        brief: as for :func:`compare`.
+        folder: where frames are kept; None keeps them in memory.
+        tally: counts the frames that are played.
+    """
     cloth = next(cloth for one, cloth in _plain_methods(database, truth, brief) if one.prefix == method.prefix)
     again = [ClothTurn(cloth, truth.recording.frames, folder, start) for start in _starts(brief)]
     take_turns(again, truth.run.frame_count, tally.add)

@@ -10,17 +10,15 @@ import numpy as np
 from pbd.distance import penetration_figures
 from precompute.learning.evaluation import body_distances, floor_figures, free_figures, mean_figures
 from precompute.learning.truth import Truth
-from precompute.scratch import Tally
+from precompute.scratch import UNCOUNTED, Tally
 from precompute.wrinkle_comparison.comparison import Method
 from precompute.wrinkle_comparison.realism import PatchStatistics, realism
 from wrinkles.mesh_measures import edge_stretch
 
 __all__ = ["figures_of", "shared_figures"]
 
-_UNCOUNTED = Tally(None)
 
-
-def figures_of(truth: Truth, methods: Sequence[Method], tally: Tally = _UNCOUNTED) -> list[Method]:
+def figures_of(truth: Truth, methods: Sequence[Method], tally: Tally = UNCOUNTED) -> list[Method]:
     """Methods with their figures beside a truth; one that broke has none.
 
     Args:

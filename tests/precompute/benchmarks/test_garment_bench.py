@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
@@ -95,6 +96,29 @@ def test_what_stopped_a_rival_and_what_is_missing_is_said() -> None:
     stopped = Method("rival_", "Blender for speed, 9,552", 700.0, {}, {})
     text = bench_text(bench(stopped, some("", 8.0, 0.2), ended="given up: 700 ms a frame"))
     assert "given up: 700 ms a frame" in text and "MuJoCo flex: not installed" in text
+
+
+def test_plain_cloth_that_decides_on_one_run_is_run_again_until_several_decide() -> None:
+    once = some("plain_3_", 4.0, 0.3, mesh="coarse")
+    once = replace(once, runs=once.runs[:1])
+    found = bench(some("rival_", 50.0, 0.35), some("", 8.0, 0.2), once)
+    assert [one.prefix for one in found.undecided] == ["plain_3_"]
+    worse = replace(some("plain_3_", 4.0, 0.9, mesh="coarse"), name="worse")
+    found = replace(found, motion=found.motion.with_method(worse))
+    assert found.undecided == [] and found.rows()[-1]["ours as good"] == "ours"
+
+
+def test_the_best_of_each_engine_within_a_time_is_named_and_where_there_is_none_that_is_said() -> None:
+    plain = some("plain_3_", 3.0, 0.5, mesh="coarse"), some("plain_6_", 7.0, 0.3, mesh="coarse")
+    found = bench(some("rival_", 12.0, 0.6), some("", 9.0, 0.2), *plain)
+    best = {(row["within [ms]"], row["engine"]): row["method"] for row in found.reached()}
+    assert best == {
+        (4.0, "gube, wrinkles"): "none", (4.0, "gube, plain cloth"): "plain_3_", (4.0, "Blender"): "none",
+        (8.0, "gube, wrinkles"): "none", (8.0, "gube, plain cloth"): "plain_6_", (8.0, "Blender"): "none",
+        (16.0, "gube, wrinkles"): "ours", (16.0, "gube, plain cloth"): "plain_6_", (16.0, "Blender"): "rival_",
+    }  # fmt: skip
+    assert "within 8 ms, Blender: none" in bench_text(found)
+    assert "within 16 ms, Blender: rival_, 12 ms, worst octave 0.6" in bench_text(found)
 
 
 def test_the_share_inside_the_body_is_one_that_is_measured() -> None:
