@@ -98,15 +98,10 @@ def membrane_multipliers(
     a01 = gram[1] * cs + compliance[1]
     a02 = gram[1] * rest * inverse_v
     a12 = gram[1] * rest * inverse_u
-    a22 = (
-        larger(rest, MIN_SQUARED_SINE)
-        * (
-            gram[0] * inverse_u * inverse_u
-            - 2.0 * gram[1] * cs * inverse_u * inverse_v
-            + gram[2] * inverse_v * inverse_v
-        )
-        + compliance[3]
-    )
+    own = gram[0] * inverse_u * inverse_u + gram[2] * inverse_v * inverse_v
+    # Where warp and weft lie along each other and a sliver's own rows do, too, float32 leaves nothing or less.
+    turned = larger(own - 2.0 * gram[1] * cs * inverse_u * inverse_v, MIN_DETERMINANT * own)
+    a22 = larger(rest, MIN_SQUARED_SINE) * turned + compliance[3]
     c02, c12, c22 = a01 * a12 - a02 * a11, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
     kept = plastic
     if ti.static(rubs):

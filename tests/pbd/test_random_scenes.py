@@ -216,7 +216,10 @@ def test_cloth_in_one_point_that_rubs_stays_finite() -> None:
 @pytest.mark.proof
 @pytest.mark.parametrize("number", range(10))
 def test_ten_thousand_cloths_stay_finite(number: int) -> None:
-    """The same scenes each time, a thousand to a number. Those out of bounds are of the known kinds: at most 1 %."""
+    """A thousand scenes to a number; hypothesis also draws constants of the modules that are loaded.
+
+    Those out of bounds are of the known kinds: at most 1 %.
+    """
     beyond: list[str] = []
 
     def tried(drawn: Drawn) -> None:
