@@ -127,7 +127,7 @@ class GarmentBench:
         return list(found.values())
 
     def reached(self) -> list[dict[str, Any]]:
-        """Of each engine the method whose octaves are best within each of BUDGETS_MS; a row without one has none."""
+        """Each engine's method with the best octaves within each of BUDGETS_MS; engines without one share a row."""
         engines: dict[str, list[Method]] = {
             "gube, wrinkles": [one for one in self._ours if one.ours],
             "gube, plain cloth": [one for one in self._ours if one.mesh],
@@ -136,10 +136,15 @@ class GarmentBench:
             engines.setdefault(one.engine, []).extend([one.method] if one.method.figures else [])
         rows = []
         for budget in BUDGETS_MS:
-            for engine, methods in engines.items():
-                within = [one for one in methods if one.frame_ms <= budget]
-                best = min(within, key=lambda one: one.error("octaves"), default=None)
-                rows.append({"garment": self.garment, "within [ms]": budget, "engine": engine} | _cells(best))
+            within = {name: [one for one in some if one.frame_ms <= budget] for name, some in engines.items()}
+            best = {name: min(some, key=lambda one: one.error("octaves")) for name, some in within.items() if some}
+            found: dict[str, Method | None] = {**best}
+            if len(best) < len(engines):
+                found["; ".join(name for name in engines if name not in best)] = None
+            rows += [
+                {"garment": self.garment, "within [ms]": budget, "engine": engine} | _cells(one)
+                for engine, one in found.items()
+            ]
         return rows
 
     def rows(self) -> list[dict[str, Any]]:
