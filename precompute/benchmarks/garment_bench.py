@@ -270,7 +270,9 @@ def _write_dressings(cloth: Cloth, folder: Path, number: int) -> list[Path]:
         simulation = cloth.simulation(cloth.options)
         move_start(simulation.state, start)
         paths.append(folder / f"dressing_{number}_{start}.npz")
-        replace(first, start=simulation.state.world()).write(paths[-1])
+        off = simulation.state.world() - first.start
+        # Blender begins with the shape at rest.
+        replace(first, start=first.start + off, rest=first.rest + off).write(paths[-1])
     return paths
 
 
