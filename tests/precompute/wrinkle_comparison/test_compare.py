@@ -204,14 +204,14 @@ def test_what_may_be_as_good_is_run_again_the_cheapest_first(
     methods = [some("", 4.0, 0.3), *once, some("floor_", float("nan"), 0.1)]
     asked: list[str] = []
 
-    def again(_: object, __: object, method: Method, *___: object) -> Method:
+    def again(_: object, __: object, method: Method, **___: object) -> Method:
         asked.append(method.prefix)
         figures = {**method.figures, "low_frequency_bias": 0.9 if method.prefix == "plain_2_" else 0.2}
         return replace(method, runs=method.runs * 4, figures=figures)
 
     monkeypatch.setattr(comparing, "_played", lambda *_: methods)
     monkeypatch.setattr(comparing, "_with_figures", lambda _, methods, *__: methods)
-    monkeypatch.setattr(comparing, "_again", again)
+    monkeypatch.setattr(comparing, "run_again", again)
     found = compare(database, [truth])
     assert asked == ["plain_2_", "plain_0_"]  # two at a time
     assert found.cost_advantage is not None
